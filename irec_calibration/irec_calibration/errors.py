@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors that a user can mend. The message says what was wrong, where, the value, the limit, and what to do."""
+
+from __future__ import annotations
+
+
+class IrecError(Exception):
+    """Base of every error that is reported to the user in one line (exit code 2) instead of a stack trace."""
+
+
+class RobotError(IrecError):
+    """The robot description can't be used."""
+
+
+class SessionError(IrecError):
+    """A recording is not a valid session; names file, line and column."""
+
+
+class ModelError(IrecError):
+    """A model file is wrong or does not fit the robot or session."""
+
+
+class EffectError(IrecError):
+    """An effect is unknown, badly defined, or can't act on this session."""
+
+
+class CellError(IrecError):
+    """A cell file is wrong."""
+
+
+class SolveError(IrecError):
+    """The data can't determine what was asked for."""
+
+
+class PlanError(IrecError):
+    """Poses can't be planned as asked for."""
+
+
+class Cancelled(IrecError):
+    """The user cancelled a long computation."""
