@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table form of a session: a folder with `session.yaml`, `samples.csv` and the robot description."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from ..errors import SessionError
+from ..robot import Robot
+from ..typing import Array
+from .data import Session
+from .header import Header, read_header
+
+XYZ = ("x", "y", "z")
+LIMIT_MARGIN_RAD = 0.01
+
+
+class _Columns:
+    """The columns of samples.csv as text, with errors that name file, line and column."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            with path.open(newline="", encoding="utf-8-sig") as file:
+                rows = [(reader.line_num, row) for reader in [csv.reader(file)] for row in reader if row]
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise SessionError(f"{path}: can't read the table: {error}") from error
+        if not rows:
+            raise SessionError(f"{path}: the file is empty; a header line with column names is needed")
+        self.names = [name.strip() for name in rows[0][1]]
+        doubled = {n for n in self.names if self.names.count(n) > 1}
+        if doubled:
+            raise SessionError(f"{path}:1: column '{sorted(doubled)[0]}' appears more than once")
+        self.lines = [line for line, _ in rows[1:]]
+        if not self.lines:
+            raise SessionError(f"{path}: no samples, only a header line")
+        for line, row in rows[1:]:
+            if len(row) != len(self.names):
+                raise SessionError(f"{path}:{line}: {len(row)} fields, the header has {len(self.names)}")
+        self._text = {name: [row[i].strip() for _, row in rows[1:]] for i, name in enumerate(self.names)}
+        self.used: set[str] = set()
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._text
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def where(self, row: int, name: str) -> str:
+        return f"{self.path}:{self.lines[row]}: column '{name}'"
+
+    def text(self, name: str) -> list[str]:
+        self.used.add(name)
+        return self._text[name]
+
+    def numbers(self, name: str, *, required: bool = True, absent: float | None = None) -> Array:
+        """One column as floats; NaN for an empty optional field, `absent` where the whole column is missing."""
+        if name not in self:
+            if absent is not None:
+                return np.full(len(self), absent)
+            raise SessionError(f"{self.path}:1: required column '{name}' is missing")
+        out = np.empty(len(self))
+        for i, text in enumerate(self.text(name)):
+            if text == "":
+                if required:
+                    raise SessionError(f"{self.where(i, name)} is empty; it must be measured in every row")
+                out[i] = math.nan
+                continue
+            try:
+                out[i] = float(text)
+            except ValueError:
+                raise SessionError(f"{self.where(i, name)}: '{text}' is not a number ('.' decimals are needed)") from None
+            if not math.isfinite(out[i]):
+                raise SessionError(f"{self.where(i, name)}: {text} is not a finite number; leave it empty if not measured")
+        return out
+
+    def integers(self, name: str, *, absent: int | None = None, minimum: int = 0) -> Array:
+        values = self.numbers(name, required=absent is None, absent=None if absent is None else float(absent))
+        if absent is not None:
+            values = np.where(np.isnan(values), float(absent), values)
+        for i, value in enumerate(values):
+            if value != int(value) or value < minimum:
+                raise SessionError(f"{self.where(i, name)}: {value:g} is not an integer of at least {minimum}")
+        return values.astype(np.int64)
+
+    def vectors(self, prefix: str, *, required: bool, absent: float | None = None) -> Array:
+        """`prefix_x, _y, _z` as (n, 3): all three or none of them measured in a row."""
+        out = np.stack([self.numbers(f"{prefix}_{a}", required=required, absent=absent) for a in XYZ], axis=1)
+        missing = np.isnan(out)
+        for i in np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1)):
+            raise SessionError(f"{self.where(int(i), prefix + '_*')}: some of x, y, z are empty; give all three or none")
+        return out
+
+
+def read_table(folder: str | Path) -> Session:
+    """Read a session from a folder with session.yaml and samples.csv.
+
+    Raises:
+        SessionError: what is wrong, with file, line and column.
+        RobotError: the URDF can't be used.
+    """
+    folder = Path(folder)
+    header = read_header(folder / "session.yaml")
+    robot = Robot.from_urdf(header.urdf_path)
+    return session_from_columns(header, robot, _Columns(folder / "samples.csv"), folder)
+
+
+def session_from_columns(header: Header, robot: Robot, columns: _Columns, folder: Path) -> Session:
+    """Build and check a session from its header and columns."""
+    loaded = header.kind == "loaded"
+    pose = columns.integers("pose", minimum=1)
+    load_case = columns.integers("load_case", absent=None if loaded else 0)
+    repeat = columns.integers("repeat", absent=0)
+    stamp = columns.numbers("stamp", absent=None if loaded or header.clock != "none" else 0.0)
+    q = np.stack([columns.numbers(f"joint_{i + 1}") for i in range(robot.n_joints)], axis=1)
+    _check_limits(columns, robot, q)
+    p_marker = columns.vectors("marker", required=False)
+    force = columns.vectors("force", required=loaded, absent=None if loaded else 0.0)
+    torque = columns.vectors("torque", required=False, absent=0.0)
+    has_tcp = loaded or ("tcp_x" in columns and not all(t == "" for t in columns.text("tcp_x")))
+    fk = robot.kinematics(q).p_tcp
+    p_tcp = columns.vectors("tcp", required=loaded) if has_tcp else fk
+    p_tcp = np.where(np.isnan(p_tcp), fk, p_tcp)
+    names = [s.name for s in header.stations]
+    station = _index(columns, "station", names)
+    marker = _index(columns, "marker", [m.name for m in header.markers])
+    ext = {n[4:]: columns.numbers(n, required=False) for n in columns.names if n.startswith("ext_")}
+    temperature = {n[5:]: columns.numbers(n, required=False) for n in columns.names if n.startswith("temp_")}
+    q_target = None
+    if "target_1" in columns:
+        q_target = np.stack([columns.numbers(f"target_{i + 1}", required=False) for i in range(robot.n_joints)], axis=1)
+    notes = list(header.notes)
+    unknown = [n for n in columns.names if n not in columns.used]
+    if unknown:
+        notes.append(f"columns ignored: {', '.join(unknown)}")
+    session = Session(
+        name=header.name, kind=header.kind, robot=robot, serial=header.serial, pose=pose, load_case=load_case,
+        repeat=repeat, stamp=stamp, q=q, p_tcp_in_base=p_tcp, p_marker_in_station=p_marker, station=station,
+        stations=header.stations, marker=marker, markers=header.markers, force_in_tool=np.nan_to_num(force),
+        torque_in_tool=np.nan_to_num(torque), noise=header.noise, q_target=q_target, ext=ext,
+        ext_axes=header.ext_axes, temperature=temperature, load_case_names=header.load_case_names,
+        load_cases=header.load_cases, gravity_in_base=header.gravity_in_base, payload=header.payload,
+        passive=header.passive, clock=header.clock, inertials=header.inertials, has_torque="torque_x" in columns,
+        has_tcp=has_tcp, meta=header.meta, notes=tuple(notes), path=folder,
+    )  # fmt: skip
+    check_rows(session, lambda row: f"{columns.path}:{columns.lines[row]}")
+    return session
+
+
+def check_rows(session: Session, where: object) -> None:
+    """Refuse duplicated keys and loaded rows without their reference row.
+
+    Args:
+        session: rows to check.
+        where: function row index -> place for the message.
+
+    Raises:
+        SessionError: names the place.
+    """
+    place = where if callable(where) else str
+    seen: dict[tuple[int, int, int, int], int] = {}
+    for i, key in enumerate(
+        zip(session.pose.tolist(), session.load_case.tolist(), session.repeat.tolist(), session.marker.tolist(), strict=True)
+    ):
+        if key in seen:
+            raise SessionError(
+                f"{place(i)}: pose {key[0]}, load_case {key[1]}, repeat {key[2]} is there already ({place(seen[key])});"
+                " count repeat up for a second measurement"
+            )
+        seen[key] = i
+    if session.kind == "loaded":
+        for (pose, case, repeat, marker), i in seen.items():
+            if case != 0 and (pose, 0, repeat, marker) not in seen:
+                raise SessionError(
+                    f"{place(i)}: loaded row (pose {pose}, load_case {case}, repeat {repeat}) without its reference row"
+                    f" (load_case 0 of the same pose and repeat)"
+                )
+
+
+def _check_limits(columns: _Columns, robot: Robot, q: Array) -> None:
+    margin = np.where(robot.is_prismatic, 0.001, LIMIT_MARGIN_RAD)
+    outside = (q < robot.lower - margin) | (q > robot.upper + margin)
+    for i, k in np.argwhere(outside):
+        raise SessionError(
+            f"{columns.where(int(i), f'joint_{k + 1}')}: {q[i, k]:.4f} is outside the limits of the robot description"
+            f" {robot.lower[k]:.4f} .. {robot.upper[k]:.4f} (degrees instead of radians?)"
+        )
+
+
+def _index(columns: _Columns, name: str, names: list[str]) -> Array:
+    if name not in columns:
+        return np.zeros(len(columns), dtype=np.int64)
+    out = np.zeros(len(columns), dtype=np.int64)
+    for i, text in enumerate(columns.text(name)):
+        if text == "":
+            continue
+        if text not in names:
+            raise SessionError(f"{columns.where(i, name)}: '{text}' is not declared in session.yaml ({', '.join(names)})")
+        out[i] = names.index(text)
+    return out
+
+
+def write_table(session: Session, folder: str | Path) -> Path:
+    """Write a session as a table; nothing half-written is left if it fails.
+
+    Args:
+        session: any session.
+        folder: created if needed; its session.yaml, samples.csv and robot.urdf are replaced.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    header = {"format": "irec-session/1", **session.meta}
+    header["robot"] = {**header.get("robot", {}), "urdf": "robot.urdf", "serial": session.serial}
+    header.update(name=session.name, kind=session.kind)
+    names, columns = _columns_of(session)
+    _replace(folder / "robot.urdf", session.robot.urdf_text)
+    _replace(folder / "session.yaml", yaml.safe_dump(header, sort_keys=False, allow_unicode=True))
+    lines = [",".join(names)] + [",".join(row) for row in zip(*columns, strict=True)]
+    _replace(folder / "samples.csv", "\n".join(lines) + "\n")
+    return folder
+
+
+def _columns_of(s: Session) -> tuple[list[str], list[list[str]]]:
+    table: dict[str, list[str]] = {}
+
+    def put(name: str, values: Array) -> None:
+        table[name] = ["" if isinstance(v, float) and math.isnan(v) else repr(v) for v in values.tolist()]
+
+    put("pose", s.pose)
+    put("load_case", s.load_case)
+    put("repeat", s.repeat)
+    put("stamp", s.stamp)
+    for i in range(s.robot.n_joints):
+        put(f"joint_{i + 1}", s.q[:, i])
+    if s.q_target is not None:
+        for i in range(s.robot.n_joints):
+            put(f"target_{i + 1}", s.q_target[:, i])
+    for name, value in s.ext.items():
+        put(f"ext_{name}", value)
+    blocks = {"marker": s.p_marker_in_station, "force": s.force_in_tool}
+    if s.has_tcp:
+        blocks = {"tcp": s.p_tcp_in_base, **blocks}
+    if s.has_torque:
+        blocks["torque"] = s.torque_in_tool
+    for prefix, block in blocks.items():
+        for a, axis in enumerate(XYZ):
+            put(f"{prefix}_{axis}", block[:, a])
+    table["station"] = [s.stations[i].name for i in s.station]
+    if len(s.markers) > 1 or "markers" in s.meta:
+        table["marker"] = [s.markers[i].name for i in s.marker]
+    for name, value in s.temperature.items():
+        put(f"temp_{name}", value)
+    return list(table), list(table.values())
+
+
+def _replace(path: Path, text: str) -> None:
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
