@@ -13,7 +13,7 @@ stops helping, one at a time (Murty's rule, finite for every positive definite G
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import Array, BoolArray, IntArrayLike
+from numpy.typing import ArrayLike
 
 from .errors import SolveError
 from .typing import Array, BoolArray, IntArray
