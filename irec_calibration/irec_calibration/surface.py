@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tooling surfaces on which the robot is engaged: an analytic double-curvature patch, a block, a triangle mesh.
+
+Every surface offers the same three things: points uniform on its area, a triangle mesh of itself, and (through the
+mesh) distances along it. All positions are in the cell frame, in m; normals are unit vectors that point out of the tooling.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from .errors import PlanError
+from .typing import Array, IntArray
+
+_MESH_STEP = 0.04  # m, edge of the triangles that stand for an analytic surface
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points on a surface: positions (n, 3), outward unit normals (n, 3), distance to the nearest edge (n,), m."""
+
+    p: Array
+    normal: Array
+    edge_distance: Array
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """Vertices (v, 3) in the cell frame, m; corner indices (m, 3), counter-clockwise seen from outside."""
+
+    vertices: Array
+    corners: IntArray
+
+    @cached_property
+    def _cross(self) -> Array:
+        a, b, c = (self.vertices[self.corners[:, i]] for i in range(3))
+        return np.cross(b - a, c - a)
+
+    @cached_property
+    def area(self) -> Array:
+        """Area of each triangle, shape (m,), m^2."""
+        return 0.5 * np.linalg.norm(self._cross, axis=1)
+
+    @cached_property
+    def normal(self) -> Array:
+        """Unit normal of each triangle, shape (m, 3)."""
+        return self._cross / np.maximum(2 * self.area, 1e-300)[:, None]
+
+    @cached_property
+    def vertex_normal(self) -> Array:
+        """Unit normal of each vertex (mean of its triangles by area), shape (v, 3)."""
+        total = np.zeros_like(self.vertices)
+        for i in range(3):
+            np.add.at(total, self.corners[:, i], self._cross)
+        return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
+
+    @cached_property
+    def sides(self) -> tuple[IntArray, IntArray]:
+        """Edges (e, 2) by vertex and the triangles on their two sides (e, 2), -1 where there is none."""
+        half = np.sort(np.concatenate([self.corners[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
+        owner = np.tile(np.arange(len(self.corners)), 3)
+        edges, which = np.unique(half, axis=0, return_inverse=True)
+        triangles = np.full((len(edges), 2), -1)
+        triangles[which.ravel()[::-1], 0] = owner[::-1]
+        triangles[which.ravel(), 1] = owner
+        triangles[triangles[:, 0] == triangles[:, 1], 1] = -1
+        return edges, triangles
+
+    def sharp_edges(self, angle: float = np.radians(30.0)) -> IntArray:
+        """Edges (e, 2) where the mesh ends or bends by more than `angle`."""
+        edges, triangles = self.sides
+        bend = np.einsum("ij,ij->i", self.normal[triangles[:, 0]], self.normal[triangles[:, 1]])
+        return edges[(triangles[:, 1] < 0) | (bend < np.cos(angle))]
+
+
+class Surface(Protocol):
+    """What pose planning needs of a surface."""
+
+    def sample(self, n: int, rng: np.random.Generator) -> SurfacePoints:
+        """n random points, uniform on the area."""
+
+    def mesh(self) -> TriangleMesh:
+        """The surface as triangles of a few centimetres."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Double-curvature patch: z = -x^2/(2 rx) - y^2/(2 ry) over a rectangle centred on the apex, z outward.
+
+    size: extent along local x and y, m. radius: rx, ry of curvature at the apex, m; negative is concave.
+    R_in_cell (3, 3), p_in_cell (3,): pose of the apex frame in the cell frame.
+    """
+
+    size: tuple[float, float]
+    radius: tuple[float, float]
+    R_in_cell: Array
+    p_in_cell: Array
+
+    def _slope(self, xy: Array) -> Array:
+        return -xy / np.asarray(self.radius)
+
+    def _place(self, xy: Array) -> tuple[Array, Array]:
+        z = 0.5 * np.sum(xy * self._slope(xy), axis=1)
+        normal = np.column_stack([-self._slope(xy), np.ones(len(xy))])
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        return np.column_stack([xy, z]) @ self.R_in_cell.T + self.p_in_cell, normal @ self.R_in_cell.T
+
+    def sample(self, n: int, rng: np.random.Generator) -> SurfacePoints:
+        half = 0.5 * np.asarray(self.size)
+        largest = np.sqrt(1.0 + np.sum(self._slope(half) ** 2))
+        kept: list[Array] = []
+        while sum(map(len, kept)) < n:
+            xy = rng.uniform(-half, half, size=(n + 16, 2))
+            stretch = np.sqrt(1.0 + np.sum(self._slope(xy) ** 2, axis=1))
+            kept.append(xy[rng.uniform(size=len(xy)) * largest <= stretch])
+        xy = np.concatenate(kept)[:n]
+        p, normal = self._place(xy)
+        return SurfacePoints(p, normal, np.min(half - np.abs(xy), axis=1))
+
+    def mesh(self) -> TriangleMesh:
+        xy, corners = _grid(self.size)
+        return TriangleMesh(self._place(xy)[0], corners)
+
+
+_FACES = {f"{sign}{axis}": (i, s) for i, axis in enumerate("xyz") for sign, s in (("+", 1), ("-", -1))}
+
+
+@dataclass(frozen=True)
+class Block:
+    """Faces of a cuboid. size: along local x, y, z, m. faces: those to press on, of +x -x +y -y +z -z, local frame.
+
+    R_in_cell (3, 3), p_in_cell (3,): pose of its centre in the cell frame.
+    """
+
+    size: tuple[float, float, float]
+    faces: tuple[str, ...]
+    R_in_cell: Array
+    p_in_cell: Array
+
+    def _frame(self, face: str) -> tuple[Array, Array, Array]:
+        """Local u, v (2, 3), outward normal (3,) and half extents along u, v (2,) of a face; u x v = normal."""
+        axis, sign = _FACES[face]
+        u, v = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+        if sign < 0:
+            u, v = v, u
+        half = 0.5 * np.asarray(self.size)
+        return np.array([u, v]), sign * np.eye(3)[axis], np.array([u @ half, v @ half])
+
+    def _place(self, face: str, uv: Array) -> Array:
+        axes, normal, _ = self._frame(face)
+        local = uv @ axes + normal * (0.5 * np.asarray(self.size) @ np.abs(normal))
+        return local @ self.R_in_cell.T + self.p_in_cell
+
+    def sample(self, n: int, rng: np.random.Generator) -> SurfacePoints:
+        halves = np.array([self._frame(face)[2] for face in self.faces])
+        area = halves.prod(axis=1)
+        which = rng.choice(len(self.faces), size=n, p=area / area.sum())
+        uv = rng.uniform(-1.0, 1.0, size=(n, 2)) * halves[which]
+        p, normal = np.empty((n, 3)), np.empty((n, 3))
+        for i, face in enumerate(self.faces):
+            p[which == i] = self._place(face, uv[which == i])
+            normal[which == i] = self.R_in_cell @ self._frame(face)[1]
+        return SurfacePoints(p, normal, np.min(halves[which] - np.abs(uv), axis=1))
+
+    def mesh(self) -> TriangleMesh:
+        vertices: list[Array] = []
+        corners: list[IntArray] = []
+        for face in self.faces:
+            uv, triangles = _grid(2 * self._frame(face)[2])
+            corners.append(triangles + sum(map(len, vertices)))
+            vertices.append(self._place(face, uv))
+        # faces share their vertices along common edges, so that a path along the surface may go over an edge
+        merged, index = np.unique(np.round(np.concatenate(vertices), 9), axis=0, return_inverse=True)
+        return TriangleMesh(merged, index.ravel()[np.concatenate(corners)])
+
+
+@dataclass(frozen=True)
+class MeshSurface:
+    """A triangle mesh; points lie on its flat triangles. triangles: in the cell frame."""
+
+    triangles: TriangleMesh
+
+    @classmethod
+    def from_file(cls, path: Path, R_in_cell: Array, p_in_cell: Array, scale: float = 1.0) -> MeshSurface:
+        """Read STL, OBJ or what else trimesh reads. scale: metres per unit of the file (0.001 for mm).
+
+        Raises PlanError: trimesh is not installed, the file can't be read, or it holds no triangle.
+        """
+        try:
+            import trimesh
+        except ImportError as error:
+            raise PlanError(f"{path}: reading a mesh needs trimesh: pip install 'irec_calibration[mesh]'") from error
+        try:
+            raw = trimesh.load_mesh(path)
+        except Exception as error:  # trimesh raises whatever its readers raise
+            raise PlanError(f"{path}: not a mesh that can be read: {error}") from error
+        if len(getattr(raw, "faces", ())) == 0:
+            raise PlanError(f"{path}: the mesh has no triangle")
+        vertices, corners = trimesh.remesh.subdivide_to_size(
+            np.asarray(raw.vertices) * scale, np.asarray(raw.faces), _MESH_STEP, max_iter=20
+        )
+        merged, index = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
+        return cls(TriangleMesh(merged @ R_in_cell.T + p_in_cell, index.ravel()[corners]))
+
+    def sample(self, n: int, rng: np.random.Generator) -> SurfacePoints:
+        mesh = self.triangles
+        which = rng.choice(len(mesh.area), size=n, p=mesh.area / mesh.area.sum())
+        a, b = np.sqrt(rng.uniform(size=n)), rng.uniform(size=n)
+        weight = np.column_stack([1 - a, a * (1 - b), a * b])
+        p = np.einsum("nk,nkj->nj", weight, mesh.vertices[mesh.corners[which]])
+        ends = mesh.vertices[mesh.sharp_edges()]
+        if len(ends) == 0:
+            return SurfacePoints(p, mesh.normal[which], np.full(n, np.inf))
+        along = np.linspace(0.0, 1.0, 9)[:, None, None]
+        border = ((1 - along) * ends[:, 0] + along * ends[:, 1]).reshape(-1, 3)
+        return SurfacePoints(p, mesh.normal[which], cKDTree(border).query(p)[0])
+
+    def mesh(self) -> TriangleMesh:
+        return self.triangles
+
+
+def _grid(size: Array | tuple[float, float]) -> tuple[Array, IntArray]:
+    """Vertices (v, 2) and triangles (m, 3) of a rectangle centred on 0, counter-clockwise."""
+    nx, ny = (max(2, int(np.ceil(extent / _MESH_STEP)) + 1) for extent in size)
+    x, y = (np.linspace(-extent / 2, extent / 2, k) for extent, k in zip(size, (nx, ny), strict=True))
+    xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    a = (np.arange(nx - 1)[:, None] * ny + np.arange(ny - 1)).ravel()
+    corners = np.concatenate([np.column_stack([a, a + ny, a + ny + 1]), np.column_stack([a, a + ny + 1, a + 1])])
+    return xy, corners
+
+
+def distance_along(mesh: TriangleMesh, points: SurfacePoints) -> Callable[[int], Array]:
+    """Distances along a surface: a function of the index of one point, returning those to all points, shape (n,), m.
+
+    Shortest paths in the graph of mesh vertices and points (Dijkstra). Vertices are linked by edges and across the edge
+    between two triangles, points to everything near on the same side. Overestimates by a few per cent, never below
+    the straight line.
+    """
+    vertices, n = mesh.vertices, len(points.p)
+    edges, triangles = mesh.sides
+    inner = triangles[:, 1] >= 0
+    opposite = mesh.corners[triangles[inner]].sum(axis=2) - edges[inner].sum(axis=1)[:, None]
+    links = np.concatenate([edges, opposite]) + n
+    reach = 2.0 * np.median(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1))
+    nodes = np.concatenate([points.p, vertices])
+    normals = np.concatenate([points.normal, mesh.vertex_normal])
+    near = cKDTree(points.p).query_ball_tree(cKDTree(nodes), reach)
+    first = np.repeat(np.arange(n), [len(found) for found in near])
+    second = np.concatenate([np.asarray(found, dtype=int) for found in near])
+    same_side = np.einsum("ij,ij->i", normals[first], normals[second]) > 0.5
+    keep = same_side & (first != second)
+    links = np.concatenate([links, np.column_stack([first, second])[keep]])
+    links = np.unique(np.sort(links, axis=1), axis=0)
+    length = np.linalg.norm(nodes[links[:, 0]] - nodes[links[:, 1]], axis=1)
+    graph = coo_matrix((length, links.T), shape=(len(nodes), len(nodes))).tocsr()
+    return lambda index: dijkstra(graph, directed=False, indices=index)[:n]
