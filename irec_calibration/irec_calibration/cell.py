@@ -7,6 +7,7 @@ The cell frame is base_link of the robot with its rail at 0; it does not move wi
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -92,7 +93,7 @@ def load_cases(fx: float, fy: float, fz: float) -> Array:
     return np.array([[0, 0, -fz], [fx, 0, -fz], [-fx, 0, -fz], [0, -fy, -fz], [0, fy, -fz]], dtype=float)
 
 
-class _Section:
+class Section:
     """A mapping of the file that knows its own place, for messages."""
 
     def __init__(self, path: Path, name: str, values: Any) -> None:
@@ -111,14 +112,21 @@ class _Section:
             raise CellError(f"{self._place(key)} is missing")
         return self._values[key]
 
-    def section(self, key: str) -> _Section:
-        return _Section(self._path, self._name + "." * bool(self._name) + key, self.get(key))
+    def only(self, *allowed: str) -> None:
+        """Refuse keys that nobody reads: a limit with a spelling mistake must not be silently absent."""
+        for key in self._values:
+            if key not in allowed:
+                near = difflib.get_close_matches(str(key), allowed, 1)
+                raise CellError(f"{self._place(key)} is not known here; {f'write {near[0]}' if near else 'remove it'}")
 
-    def sections(self, key: str) -> list[_Section]:
+    def section(self, key: str) -> Section:
+        return Section(self._path, self._name + "." * bool(self._name) + key, self.get(key))
+
+    def sections(self, key: str) -> list[Section]:
         items = self.get(key)
         if not isinstance(items, list):
             raise CellError(f"{self._place(key)} must be a list, is {type(items).__name__}")
-        return [_Section(self._path, f"{key}[{i}]", item) for i, item in enumerate(items)]
+        return [Section(self._path, f"{key}[{i}]", item) for i, item in enumerate(items)]
 
     def number(self, key: str, lowest: float = -np.inf, highest: float = np.inf) -> float:
         value = self.get(key)
@@ -164,7 +172,7 @@ def read_cell(path: str | Path) -> Cell:
         raise CellError(f"{path}: can't read the cell file: {error.strerror}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise CellError(f"{path}: not a YAML file: {error}") from error
-    top = _Section(path, "", raw)
+    top = Section(path, "", raw)
     if top.get("format") != "irec-cell/1":
         raise CellError(f"{path}: format is {top.get('format')!r}, this version reads irec-cell/1")
     robot_, tool, limits, loads = (top.section(k) for k in ("robot", "tool", "limits", "load_cases"))
@@ -205,14 +213,14 @@ def read_cell(path: str | Path) -> Cell:
     )
 
 
-def _rail(section: _Section) -> Rail:
+def _rail(section: Section) -> Rail:
     axis, travel = section.vector("axis", 3), section.vector("range", 2)
     if np.linalg.norm(axis) == 0.0 or travel[0] > travel[1]:
         raise CellError(f"{section._place('axis')} or range is empty: axis {axis.tolist()}, range {travel.tolist()}")
     return Rail(axis / np.linalg.norm(axis), float(travel[0]), float(travel[1]))
 
 
-def _surface(path: Path, section: _Section) -> Surface:
+def _surface(path: Path, section: Section) -> Surface:
     R, p = section.rotation("quat_xyzw"), section.vector("xyz", 3)
     kind = section.get("kind")
     if kind == "mesh":
