@@ -214,18 +214,42 @@ class Robot:
             gravity_in_base: acceleration of free fall in base_link, m/s^2.
             payload: extra mass on tool0.
         """
+        kin = self.kinematics(q)
+        force, moment = self.gravity_wrench(q, gravity_in_base, payload)
+        carried = np.where(self.is_prismatic[None, :, None], force, moment)
+        return np.einsum("nki,nki->nk", kin.axis, carried)
+
+    def gravity_wrench(
+        self, q: Array, gravity_in_base: Array | tuple[float, float, float] = (0.0, 0.0, -9.81), payload: Payload | None = None
+    ) -> tuple[Array, Array]:
+        """Weight of everything that each joint carries, and its moment about the joint's origin, in base_link.
+
+        Args:
+            q: shape (n, k), rad.
+            gravity_in_base: m/s^2.
+            payload: extra mass on tool0.
+
+        Returns:
+            force (n, k, 3), N, and moment (n, k, 3), N m.
+        """
         q = np.atleast_2d(np.asarray(q, dtype=float))
-        model = self._model.copy()
+        model = self._model
         if payload is not None and payload.mass > 0.0:
+            model = model.copy()
             frame = model.frames[self._tcp]
             inertia = pin.Inertia(payload.mass, np.asarray(payload.com, dtype=float), np.zeros((3, 3)))
             model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement)
-        pin.forwardKinematics(model, self._data, pin.neutral(model))
-        R_base = pin.updateFramePlacement(model, self._data, self._base).rotation
-        model.gravity.linear = R_base @ np.asarray(gravity_in_base, dtype=float)
         data = model.createData()
-        # Pinocchio returns the torque the drives must supply, gravity exerts the opposite.
-        return np.stack([-pin.computeGeneralizedGravity(model, data, self._full_q(row))[self._iv] for row in q])
+        g = np.asarray(gravity_in_base, dtype=float)
+        force, moment = np.empty((len(q), self.n_joints, 3)), np.empty((len(q), self.n_joints, 3))
+        for row in range(len(q)):
+            pin.centerOfMass(model, data, self._full_q(q[row]), True)
+            T_base = pin.updateFramePlacement(model, data, self._base)
+            for i, j in enumerate(self._joints):
+                T = T_base.actInv(data.oMi[j])
+                force[row, i] = data.mass[j] * g
+                moment[row, i] = np.cross(T.rotation @ data.com[j], force[row, i])
+        return force, moment
 
 
 def _orthogonal_pair(axis: Array) -> Array:

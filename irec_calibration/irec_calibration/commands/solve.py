@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`irec solve SESSION -o model.yaml`: identify a model, Eq. (14)-(19)."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from ..identify import identify, model_of
+from ..model import EIGHTEEN_DOF, SIX_DOF, Model, blank_model
+from ..model_file import save_model
+from ..session import read_session
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("session", help="folder of the table, MCAP file or rosbag2 folder")
+    parser.add_argument("-o", "--output", default="model.yaml", help="model file to write (default: model.yaml)")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--dof", type=int, choices=(6, 18), default=18, help="6: joint_torsion; 18: with link_bending (default)")
+    which.add_argument("--effects", help="effect ids with commas between, instead of --dof")
+    parser.add_argument("--json", action="store_true", help="machine-readable figures on standard output")
+
+
+def run(args: argparse.Namespace) -> int:
+    session = read_session(args.session)
+    effects = args.effects.split(",") if args.effects else (SIX_DOF if args.dof == 6 else EIGHTEEN_DOF)
+    model = model_of(identify(session, blank_model([e.strip() for e in effects])))
+    path = save_model(model, args.output)
+    if args.json:
+        print(json.dumps({"model": str(path), "effects": list(model.effects), **model.figures}))
+    else:
+        for note in session.notes:
+            print(f"note: {note}")
+        print(describe(model))
+        print(f"wrote {path}")
+    return 0
+
+
+def describe(model: Model) -> str:
+    """The model as a readable table with its figures."""
+    lines = [f"{'parameter':34} {'value':>12} {'std. error':>12}  unit"]
+    for term in model.terms:
+        for name, e in term.estimates.items():
+            known = "" if e.identified else "  (only in combination)" if e.se != e.se else "  (weakly known)"
+            error = f"{e.se:12.3g}" if e.se == e.se else f"{'-':>12}"
+            lines.append(f"{term.effect.id + '.' + name:34} {e.value:12.4g} {error}  {e.unit}{known}")
+    f = model.figures
+    lines.append(
+        f"{f['poses']} poses, {f['samples']} samples; rank {f['rank']}; residual {1e6 * f['fit_rms_m']:.1f} um"
+        f" (held-out poses {1e6 * f['cv_rms_m']:.1f} um), instrument noise {1e6 * f['noise_floor_m']:.1f} um"
+    )
+    lines += [f"known only together: {', '.join(c)}" for c in model.combinations]
+    return "\n".join(lines)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pedestal and floor: a spring of six degrees of freedom between the ground and base_link."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+
+
+AXES = ("x", "y", "z")
+
+
+def base_spring_regressor(scene: Scene) -> Array:
+    """Displacement per unit of each spring compliance, (n, 3, 6): x, y, z [m/N], then rotations [rad/(N m)]."""
+    f = scene.force
+    moment = np.cross(scene.p_tcp, f) + scene.torque
+    if scene.kind == "absolute":
+        weight, weight_moment = scene.gravity_wrench_at_base
+        f, moment = f + weight, moment + weight_moment
+    out = np.zeros((len(scene), 3, 6))
+    for a in range(3):
+        out[:, a, a] = f[:, a]
+        turn = np.zeros((len(scene), 3))
+        turn[:, a] = moment[:, a]
+        out[:, :, 3 + a] = np.cross(turn, scene.p_observed)
+    return out
+
+
+class BaseCompliance(Effect):
+    id = "base_compliance"
+    label = "base compliance"
+    physics = (
+        "Pedestal and floor give way: a 6-DOF spring at base_link loaded by the force and its moment r x f. Missing, the residual is "
+        "constant in the base frame and grows with reach. Rotation about the base z axis is the same as torsion of axis 1."
+    )
+    elastic = True
+    needs = ("load",)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"t_{a}", "m/N", 1e-8, lower=0.0, plausible=(0.0, 1e-6), group="translation") for a in AXES
+        ) + tuple(
+            Parameter(f"r_{a}", "rad/(N m)", 2e-8, lower=0.0, plausible=(0.0, 2e-6), group="rotation") for a in AXES
+        )
+
+    def regressor(self, scene: Scene, theta: Array) -> Array:
+        return base_spring_regressor(scene)

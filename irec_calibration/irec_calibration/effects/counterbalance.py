@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Spring or gas balancer on axis 2: its effective compliance varies with the angle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+from .scales import typical_compliance
+
+
+AXIS = 1  # index of joint_2
+
+
+class Counterbalance(Effect):
+    id = "counterbalance"
+    label = "counterbalance"
+    physics = (
+        "A spring or gas balancer acts in parallel with axis 2; the share of the load that it carries varies with its angle: "
+        "J_2 (a sin q_2 + b cos q_2) tau_2. Missing, the compliance of axis 2 seems to vary with q_2."
+    )
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        if scene.n_joints <= AXIS or not scene.driven[AXIS]:
+            return ()
+        scale = 0.3 * typical_compliance(scene.robot)[AXIS]
+        limits = (-20.0 * scale, 20.0 * scale)
+        return (
+            Parameter("a", "rad/(N m)", scale, plausible=limits),
+            Parameter("b", "rad/(N m)", scale, plausible=limits),
+        )
+
+    def regressor(self, scene: Scene, theta: Array) -> Array:
+        axis_2 = scene.J[:, :, AXIS] * scene.load_torque()[:, None, AXIS]
+        angle = scene.q[:, None, AXIS]
+        return np.stack([axis_2 * np.sin(angle), axis_2 * np.cos(angle)], axis=2)

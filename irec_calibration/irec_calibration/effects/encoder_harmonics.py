@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Eccentric encoder disc or gear: a joint error that is periodic in the joint angle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+
+
+class EncoderHarmonics(Effect):
+    id = "encoder_harmonics"
+    label = "encoder harmonics"
+    physics = (
+        "An eccentric encoder disc or gear makes a joint error that is periodic in the angle: J_k (a sin q_k + b cos q_k), also with 2 q_k. "
+        "Missing, the residual is periodic in one joint angle and blind to load; in a loaded session it all but cancels."
+    )
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"{t}{m}_{k + 1}", "rad", 1e-4, plausible=(-1e-2, 1e-2), group=f"axis {k + 1}")
+            for k in np.flatnonzero(scene.driven)
+            for m in (1, 2)
+            for t in ("a", "b")
+        )
+
+    def regressor(self, scene: Scene, theta: Array) -> Array:
+        waves = np.stack([f(m * scene.q) for m in (1, 2) for f in (np.sin, np.cos)], axis=2)
+        columns = scene.J[:, :, :, None] * waves[:, None]
+        n = len(scene)
+        return columns[:, :, scene.driven].reshape(n, 3, -1)

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wrist gears couple the last three axes: off-diagonal compliance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+from .scales import typical_compliance
+
+
+class JointCoupling(Effect):
+    id = "joint_coupling"
+    label = "wrist coupling"
+    physics = (
+        "The last axes are driven through each other's gears, so that the torque of one wrist axis moves another: J_k c_kl tau_l for "
+        "each pair of the last three axes. Missing, the torque of one wrist axis shows in the direction of another."
+    )
+    elastic = True
+
+    def pairs(self, scene: Scene) -> list[tuple[int, int]]:
+        last = [k for k in range(scene.n_joints) if scene.driven[k]][-3:]
+        return [(k, j) for i, k in enumerate(last) for j in last[i + 1 :]]
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        scale = typical_compliance(scene.robot)
+        out = []
+        for k, j in self.pairs(scene):
+            size = 0.3 * float(np.sqrt(scale[k] * scale[j]))
+            for a, b in ((k, j), (j, k)):
+                name = f"c_{a + 1}{b + 1}"
+                out.append(Parameter(name, "rad/(N m)", size, plausible=(-50 * size, 50 * size), group=f"axes {k + 1}-{j + 1}"))
+        return tuple(out)
+
+    def regressor(self, scene: Scene, theta: Array) -> Array:
+        tau = scene.load_torque()
+        columns = [scene.J[:, :, a] * tau[:, None, b] for k, j in self.pairs(scene) for a, b in ((k, j), (j, k))]
+        return np.stack(columns, axis=2) if columns else np.zeros((len(scene), 3, 0))

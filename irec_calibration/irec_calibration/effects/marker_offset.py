@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The marker is not where `marker_in_tool0` says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+
+
+AXES = ("x", "y", "z")
+
+
+class MarkerOffset(Effect):
+    id = "marker_offset"
+    label = "marker offset"
+    physics = (
+        "The marker sits off its stated place in tool0 by d: the rotation of the tool, elastic and commanded, moves it by dtheta x R d. "
+        "Missing, the residual is proportional to the predicted rotation of the TCP."
+    )
+    acts_on = "instrument"
+    in_prediction = False
+    needs_elastic = True
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"d_{a}", "m", 0.01, -0.5, 0.5, plausible=(-0.3, 0.3)) for a in AXES)
+
+    def regressor(self, scene: Scene, theta: Array) -> Array:
+        arms = scene.kin.R_tool * scene.moves_with_arm[:, None, None]
+        if scene.elastic is None or scene.measured_from_station is None:
+            return np.zeros((len(scene), 3, 3)) if scene.measured_from_station is None else np.array(arms)
+        turned = np.stack([np.cross(scene.elastic.rotation, arms[:, :, a]) for a in range(3)], axis=2)
+        return arms + turned

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Force sensor mounted rotated about the flange axis."""
+
+from __future__ import annotations
+
+from scipy.spatial.transform import Rotation
+
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+
+
+AXES = ("x", "y", "z")
+
+
+class SensorAlignment(Effect):
+    id = "sensor_alignment"
+    label = "force sensor alignment"
+    physics = (
+        "The force sensor is mounted turned: the force that acts is R f with a small rotation vector in tool0 (mostly about the sensor's "
+        "mounting axis). Missing, the lateral load cases N, E, S, W rotate into each other."
+    )
+    acts_on = "wrench"
+    in_prediction = False
+    needs = ("load",)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"w_{a}", "rad", 0.03, -0.8, 0.8, plausible=(-0.3, 0.3), group=f"about {a}") for a in AXES)
+
+    def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
+        R = Rotation.from_rotvec(theta)
+        return R.apply(scene.force_in_tool), R.apply(scene.torque_in_tool)

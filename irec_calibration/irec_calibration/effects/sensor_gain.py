@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Force sensor sensitivity error and crosstalk."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+
+
+NAMES = ("e_xx", "e_yy", "e_xy", "e_xz", "e_yx", "e_yz", "e_zx", "e_zy")
+LIMIT = 0.5
+
+
+def crosstalk(theta: Array) -> Array:
+    """The traceless matrix E of f_true = (I + E) f_measured, (3, 3): a uniform gain can't be told from a compliance scale."""
+    xx, yy, xy, xz, yx, yz, zx, zy = theta
+    return np.array([[xx, xy, xz], [yx, yy, yz], [zx, zy, -xx - yy]])
+
+
+class SensorGain(Effect):
+    id = "sensor_gain"
+    label = "force sensor gain"
+    physics = (
+        "The force sensor's sensitivity differs between its axes or one axis reads part of another: the force that acts is (I + E) f, E "
+        "traceless. Missing, the error is proportional to the force whatever the pose, along the model's own prediction."
+    )
+    acts_on = "wrench"
+    in_prediction = False
+    needs = ("load",)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(n, "1", 0.03, -LIMIT, LIMIT, plausible=(-0.2, 0.2), group="gain" if n in ("e_xx", "e_yy") else n) for n in NAMES
+        )
+
+    def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
+        return scene.force_in_tool @ (np.eye(3) + crosstalk(theta)).T, scene.torque_in_tool

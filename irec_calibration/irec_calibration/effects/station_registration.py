@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tracker station is turned against what the session says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+
+
+AXES = ("x", "y", "z")
+
+
+class StationRegistration(Effect):
+    id = "station_registration"
+    label = "station registration"
+    physics = (
+        "The rotation of a tracker station in base_link is off by a small rotation vector w (true = exp(w) stated). Missing, the residual "
+        "is proportional to the measured displacement and perpendicular to it."
+    )
+    acts_on = "instrument"
+    in_prediction = False
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"w_{a}_{s}", "rad", 0.01, -1.0, 1.0, plausible=(-0.2, 0.2), group=f"station {s}")
+            for s in scene.stations
+            for a in AXES
+        )
+
+    def regressor(self, scene: Scene, theta: Array) -> Array:
+        if scene.measured_from_station is None:
+            return np.zeros((len(scene), 3, 3 * len(scene.stations)))
+        d = np.nan_to_num(scene.measured_from_station)
+        turned = np.stack([-np.cross(e, d) for e in np.eye(3)], axis=2)
+        return np.concatenate([turned * (scene.station == s)[:, None, None] for s in range(len(scene.stations))], axis=2)

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tracker measures lengths too long or too short."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+
+
+class TrackerScale(Effect):
+    id = "tracker_scale"
+    label = "tracker scale"
+    physics = (
+        "Refraction, temperature or a wrong scale factor make the tracker's lengths (1 + s) times the true ones. Missing, the residual is "
+        "parallel to the measured displacement."
+    )
+    acts_on = "instrument"
+    in_prediction = False
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        return (Parameter("s", "1", 0.01, -0.5, 0.5, plausible=(-0.1, 0.1)),)
+
+    def regressor(self, scene: Scene, theta: Array) -> Array:
+        if scene.measured_from_station is None:
+            return np.zeros((len(scene), 3, 1))
+        return np.nan_to_num(scene.measured_from_station)[:, :, None]

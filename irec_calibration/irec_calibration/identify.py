@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Identification: the observation system Eq. (14)-(18) of any list of effects, its bounded solution Eq. (19), what is
+identifiable, and standard errors.
+
+Rows are weighted by the noise of the instruments, rows of one pose share the noise of their reference. Columns are scaled by
+typical magnitudes, since compliances of 1e-7 would stop solvers early.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from . import __version__
+from .bounded import solve_bounded_gram
+from .effects import Parameter, absent
+from .errors import Cancelled, SolveError
+from .model import Envelope, Estimate, Model, Term, elastic_response, regressors, total_displacement
+from .observe import Observation, observe
+from .session.data import Session
+from .typing import Array, BoolArray
+
+STRUCTURAL_TOLERANCE = 1e-7  # singular value relative to the largest below which a direction is not observed at all
+RIDGE = 1e-10  # relative to the largest diagonal entry: makes the solution unique along unobserved directions
+MAX_ITERATIONS = 8
+CONVERGED = 1e-6  # of the parameter scale
+FOLDS = 10
+
+
+@dataclass(frozen=True)
+class System:
+    """The linearised observation system of some terms, whitened and scaled; 3m equations, p parameters.
+
+    Attributes:
+        A: (3m, p), standard deviations per scaled parameter.
+        b: right side, (3m,), in standard deviations: residual plus A times the values linearised at.
+        scale: physical value of one scaled unit, (p,).
+        parameters: (p,), in order of the terms; owner: index of the term of each.
+        lower, upper: bounds in scaled units, (p,).
+        pose: pose number of each equation, (3m,).
+    """
+
+    A: Array
+    b: Array
+    scale: Array
+    parameters: tuple[Parameter, ...]
+    owner: tuple[int, ...]
+    lower: Array
+    upper: Array
+    pose: Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of a fit.
+
+    Attributes:
+        terms: the terms with values.
+        residual: measured minus predicted, in base_link, (m, 3), m.
+        rms: sqrt(mean |r|^2) over samples, m.
+        chi2: sum of whitened squared residuals; dof: equations minus rank.
+        rank: numerical rank of the observation matrix.
+        combinations: names (effect.parameter) that are known only in combination.
+    """
+
+    terms: tuple[Term, ...]
+    observation: Observation
+    residual: Array
+    rms: float
+    chi2: float
+    dof: int
+    rank: int
+    condition: float
+    combinations: tuple[tuple[str, ...], ...]
+
+
+def linearise(terms: Sequence[Term], observation: Observation) -> System:
+    """The observation system of the terms about their values, without parameters that enter by a grid (held fixed)."""
+    scene = observation.scene
+    blocks, parameters, owner, values = [], [], [], []
+    for i, (term, block) in enumerate(zip(terms, regressors(terms, scene), strict=True)):
+        own = term.effect.parameters(scene)
+        free = [j for j, p in enumerate(own) if not p.grid]
+        blocks.append(block[:, :, free])
+        parameters += [own[j] for j in free]
+        owner += [i] * len(free)
+        values += list(term.theta(own)[free])
+    if not parameters:
+        raise SolveError("the model has no parameter that this session could determine")
+    scale = np.array([p.scale for p in parameters])
+    A_rows = observation.of(np.concatenate(blocks, axis=2)) * scale
+    A = observation.whiten(A_rows).reshape(-1, len(parameters))
+    residual = observation.whiten(observation.y - observation.of(total_displacement(terms, scene))).ravel()
+    x = np.array(values) / scale
+    return System(
+        A=A,
+        b=residual + A @ x,
+        scale=scale,
+        parameters=tuple(parameters),
+        owner=tuple(owner),
+        lower=np.array([p.lower for p in parameters]) / scale,
+        upper=np.array([p.upper for p in parameters]) / scale,
+        pose=np.repeat(observation.pose, 3),
+    )
+
+
+def solve(system: System, rows: BoolArray | None = None, prior_width: Array | None = None) -> Array:
+    """Bounded least squares, Eq. (19), in scaled units, (p,).
+
+    Args:
+        system: from `linearise`.
+        rows: mask of equations to use, (3m,); all where None.
+        prior_width: standard deviation of a normal prior about 0 for each scaled parameter, (p,); none where None.
+    """
+    A, b = (system.A, system.b) if rows is None else (system.A[rows], system.b[rows])
+    G, h = A.T @ A, A.T @ b
+    ridge = RIDGE * max(float(G.diagonal().max()), 1e-30)
+    extra = np.full(len(h), ridge) if prior_width is None else np.maximum(1.0 / prior_width**2, ridge)
+    return solve_bounded_gram(G + np.diag(extra), h, system.lower, system.upper)
+
+
+def with_values(terms: Sequence[Term], system: System, x: Array) -> tuple[Term, ...]:
+    """The terms with the scaled values x; parameters that are not part of the system keep theirs."""
+    out = []
+    for i, term in enumerate(terms):
+        estimates = dict(term.estimates)
+        for j, (owner, p) in enumerate(zip(system.owner, system.parameters, strict=True)):
+            if owner == i:
+                estimates[p.name] = Estimate(float(x[j] * system.scale[j]), unit=p.unit, lower=p.lower, upper=p.upper)
+        out.append(replace(term, estimates=estimates))
+    return tuple(out)
+
+
+def fit(
+    terms: Sequence[Term],
+    observation: Observation,
+    *,
+    prior_width: Array | None = None,
+    cancelled: object = None,
+) -> Fit:
+    """Fit all parameters of the terms jointly (Gauss-Newton with bounds; one step where all is linear).
+
+    Args:
+        terms: effects with start values.
+        observation: what was measured.
+        prior_width: see `solve`.
+        cancelled: called between iterations; returning True stops.
+
+    Raises:
+        SolveError: fewer equations than needed, or an effect of the model can't act on this session.
+        Cancelled: as asked for.
+    """
+    terms = tuple(_with_starts(t, observation) for t in terms)
+    x_last: Array | None = None
+    for _ in range(MAX_ITERATIONS):
+        if callable(cancelled) and cancelled():
+            raise Cancelled("the fit was cancelled")
+        system = linearise(terms, observation)
+        x = solve(system, prior_width=prior_width)
+        terms = with_values(terms, system, x)
+        if x_last is not None and np.abs(x - x_last).max() < CONVERGED * (1.0 + np.abs(x).max()):
+            break
+        x_last = x
+        if not any(t.effect.acts_on == "wrench" or t.effect.needs_elastic or _nonlinear(t, observation) for t in terms):
+            break
+    return _describe(terms, observation)
+
+
+def _nonlinear(term: Term, observation: Observation) -> bool:
+    """Whether the displacement of a term is not simply regressor times values."""
+    scene = observation.scene
+    theta = term.theta(term.effect.parameters(scene))
+    by_regressor = term.effect.regressor(scene, theta) @ np.where([bool(p.grid) for p in term.effect.parameters(scene)], 0.0, theta)
+    return not np.allclose(by_regressor, term.effect.displacement(scene, theta), rtol=1e-9, atol=1e-12)
+
+
+def _with_starts(term: Term, observation: Observation) -> Term:
+    why = absent(observation.scene, term.effect.needs)
+    if why:
+        raise SolveError(f"effect '{term.effect.id}' can't be identified from {observation.session.name}: {why}")
+    estimates = {
+        p.name: term.estimates.get(p.name, Estimate(p.start, unit=p.unit, lower=p.lower, upper=p.upper))
+        for p in term.effect.parameters(observation.scene)
+    }
+    return replace(term, estimates=estimates)
+
+
+def _describe(terms: tuple[Term, ...], observation: Observation) -> Fit:
+    system = linearise(terms, observation)
+    residual = observation.y - observation.of(total_displacement(terms, observation.scene))
+    chi2 = float((observation.whiten(residual) ** 2).sum())
+    names = [f"{terms[i].effect.id}.{p.name}" for i, p in zip(system.owner, system.parameters, strict=True)]
+    norm = np.linalg.norm(system.A, axis=0)
+    seen = norm > 0.0
+    _, s, Vt = np.linalg.svd(system.A[:, seen] / norm[seen], full_matrices=False)
+    rank = int((s > STRUCTURAL_TOLERANCE * s[0]).sum()) if len(s) else 0
+    known, hidden = Vt[:rank], Vt[rank:]
+    variance = np.full(len(names), np.nan)
+    loss = np.zeros(len(names))
+    variance[seen] = ((known.T / s[:rank]) ** 2).sum(axis=1) / norm[seen] ** 2
+    loss[seen] = np.sqrt((hidden**2).sum(axis=0)) if len(hidden) else 0.0
+    single = seen & (loss < 1e-3)
+    se = np.where(single, np.sqrt(variance) * system.scale, np.nan)
+    terms = _with_errors(terms, system, se, single)
+    combinations = _combinations(hidden, np.array(names)[seen], loss[seen])
+    rms = float(np.sqrt((residual**2).sum(axis=1).mean()))
+    condition = float(s[0] / s[rank - 1]) if rank else np.inf
+    return Fit(terms, observation, residual, rms, chi2, residual.size - rank, rank, condition, combinations)
+
+
+def _with_errors(terms: tuple[Term, ...], system: System, se: Array, single: BoolArray) -> tuple[Term, ...]:
+    out = []
+    for i, term in enumerate(terms):
+        estimates = dict(term.estimates)
+        for j, (owner, p) in enumerate(zip(system.owner, system.parameters, strict=True)):
+            if owner == i:
+                value = estimates[p.name].value
+                well_known = bool(single[j] and se[j] < 0.5 * max(abs(value), p.scale))
+                estimates[p.name] = replace(estimates[p.name], se=float(se[j]), identified=well_known)
+        out.append(replace(term, estimates=estimates))
+    return tuple(out)
+
+
+def _combinations(hidden: Array, names: Array, loss: Array) -> tuple[tuple[str, ...], ...]:
+    """Sets of parameters linked by directions that are not observed."""
+    if not len(hidden):
+        return ()
+    projector = hidden.T @ hidden
+    members = np.flatnonzero(loss >= 1e-3)
+    linked = np.abs(projector[np.ix_(members, members)]) > 1e-4
+    groups: list[set[int]] = []
+    for a in range(len(members)):
+        touching = [g for g in groups if any(linked[a, b] for b in g)]
+        merged = {a}.union(*touching)
+        groups = [g for g in groups if g not in touching] + [merged]
+    return tuple(tuple(str(names[members[i]]) for i in sorted(g)) for g in groups)
+
+
+def observe_with_force_noise(session: Session, terms: Sequence[Term]) -> Observation:
+    """The observation of a session with the force sensor's noise carried through a first fit of the terms' springs."""
+    first = observe(session)
+    if session.noise.force_n <= 0.0 or not any(t.effect.elastic for t in terms):
+        return first
+    springs = fit([t for t in terms if t.effect.elastic], first).terms
+    return observe(session, elastic_response(springs, first.scene).compliance[:, :, :3])
+
+
+def pose_folds(observation: Observation, folds: int = FOLDS, seed: int = 0) -> list[BoolArray]:
+    """Masks of held-out equations (3m,), whole poses each; as many folds as poses where there are fewer."""
+    poses = observation.poses.copy()
+    np.random.default_rng(seed).shuffle(poses)
+    per_equation = np.repeat(observation.pose, 3)
+    return [np.isin(per_equation, part) for part in np.array_split(poses, min(folds, len(poses)))]
+
+
+def cross_validated_rms(terms: Sequence[Term], observation: Observation, folds: int = FOLDS) -> float:
+    """sqrt(mean |r|^2) per sample over held-out poses, m. NaN where there is only one pose.
+
+    The system is linearised once about the values given: exact for linear effects.
+    """
+    if len(observation.poses) < 2:
+        return float("nan")
+    scene = observation.scene
+    system = linearise(terms, observation)
+    A = observation.of(np.concatenate([b for b in _free_regressors(terms, scene)], axis=2)) * system.scale
+    x_0 = np.array([terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)]) / system.scale
+    base = observation.y - observation.of(total_displacement(terms, scene))
+    residual = np.empty_like(base).reshape(-1)
+    for held in pose_folds(observation, folds):
+        x = solve(system, ~held)
+        residual[held] = (base - A @ (x - x_0)).reshape(-1)[held]
+    return float(np.sqrt((residual.reshape(-1, 3) ** 2).sum(axis=1).mean()))
+
+
+def _free_regressors(terms: Sequence[Term], scene: object) -> list[Array]:
+    out = []
+    for term, block in zip(terms, regressors(terms, scene), strict=True):  # type: ignore[arg-type]
+        out.append(block[:, :, [j for j, p in enumerate(term.effect.parameters(scene)) if not p.grid]])  # type: ignore[arg-type]
+    return out
+
+
+def model_of(result: Fit, *, cv_rms: float | None = None, parent: str = "") -> Model:
+    """A model with its provenance and figures, ready to be saved."""
+    session = result.observation.session
+    force = np.linalg.norm(session.force_in_tool, axis=1)
+    torque = np.linalg.norm(session.torque_in_tool, axis=1)
+    return Model(
+        terms=result.terms,
+        serial=session.serial,
+        urdf=str(session.meta.get("robot", {}).get("urdf", "")),
+        urdf_sha256=session.robot.sha256,
+        tool=str(session.meta.get("tool", "")),
+        envelope=Envelope(
+            tuple(session.q.min(axis=0).tolist()), tuple(session.q.max(axis=0).tolist()), float(force.max()), float(torque.max())
+        ),
+        made={
+            "session": session.name,
+            "tool_version": __version__,
+            "solver": "bounded weighted least squares, Gauss-Newton",
+            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            **({"parent": parent} if parent else {}),
+        },
+        figures={
+            "fit_rms_m": result.rms,
+            "cv_rms_m": cross_validated_rms(result.terms, result.observation) if cv_rms is None else cv_rms,
+            "noise_floor_m": result.observation.whiten.floor,
+            "rank": result.rank,
+            "condition": result.condition,
+            "chi2_per_dof": result.chi2 / max(result.dof, 1),
+            "poses": len(result.observation.poses),
+            "samples": len(result.observation.rows),
+        },
+        combinations=result.combinations,
+    )
+
+
+def identify(session: Session, terms: Sequence[Term]) -> Fit:
+    """Identify a model from a session: Eq. (1)-(19).
+
+    Raises:
+        SolveError: the session can't determine it; says what is missing.
+    """
+    observation = observe_with_force_noise(session, terms)
+    return fit(terms, observation)

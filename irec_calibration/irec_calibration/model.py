@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An elastic model of one robot: a list of effects with parameter values, and what it predicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from .effects import Effect, Parameter, find_effect
+from .scene import ElasticResponse, Scene
+from .typing import Array, Json
+
+SIX_DOF = ("joint_torsion",)
+EIGHTEEN_DOF = ("joint_torsion", "link_bending")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter's value.
+
+    Attributes:
+        se: standard error, in the parameter's unit; NaN where only a combination with others is known or none was computed.
+        identified: the single value is known, not only a combination.
+    """
+
+    value: float
+    se: float = math.nan
+    unit: str = ""
+    lower: float = -math.inf
+    upper: float = math.inf
+    identified: bool = True
+
+
+@dataclass(frozen=True)
+class Term:
+    """One effect of a model with its parameters by name."""
+
+    effect: Effect
+    estimates: dict[str, Estimate] = field(default_factory=dict)
+
+    def theta(self, parameters: Iterable[Parameter]) -> Array:
+        """Values in the order of `parameters`; the start value where the model does not name one, (p,)."""
+        return np.array([self.estimates[p.name].value if p.name in self.estimates else p.start for p in parameters])
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """The range that a model was identified in.
+
+    Attributes:
+        q_lower, q_upper: joint angles, (k,), rad.
+        force, torque: largest magnitude at the TCP, N and N m.
+    """
+
+    q_lower: tuple[float, ...]
+    q_upper: tuple[float, ...]
+    force: float
+    torque: float = 0.0
+
+
+@dataclass(frozen=True)
+class Model:
+    """Effects with values, and whose robot they belong to.
+
+    Attributes:
+        urdf_sha256: SHA-256 of the robot description.
+        tool: name or note of the tool that was mounted.
+        made: how it was made: session, solver, version, date, parent.
+        figures: what it earned: fit_rms_m, cv_rms_m, noise_floor_m, rank, ...
+        combinations: names of parameters that are known only together.
+    """
+
+    terms: tuple[Term, ...]
+    serial: str = ""
+    urdf: str = ""
+    urdf_sha256: str = ""
+    tool: str = ""
+    envelope: Envelope | None = None
+    made: Json = field(default_factory=dict)
+    figures: Json = field(default_factory=dict)
+    combinations: tuple[tuple[str, ...], ...] = ()
+    history: tuple[Json, ...] = ()
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effect ids in order."""
+        return tuple(t.effect.id for t in self.terms)
+
+    def predict(self, scene: Scene) -> Array:
+        """Deflection of the TCP that the rows' wrench and state cause, (n, 3), m, in base_link.
+
+        Where the physical TCP will be relative to the controller's. Effects that only instruments see are left out.
+
+        Args:
+            scene: rows that observe the TCP (`scene_of(session, observe="tcp")`).
+        """
+        moving = [t for t in self.terms if t.effect.in_prediction]
+        return scene.change(total_displacement(moving, scene))
+
+
+def blank_model(effects: Sequence[str]) -> tuple[Term, ...]:
+    """Terms without values, for a first fit. Raises EffectError for an unknown id."""
+    return tuple(Term(find_effect(e)) for e in effects)
+
+
+def apply_wrench_effects(terms: Sequence[Term], scene: Scene) -> Scene:
+    """The scene under the wrench that really acts, by the model's sensor effects."""
+    for term in terms:
+        if term.effect.acts_on == "wrench":
+            scene = scene.with_wrench(*term.effect.wrench(scene, term.theta(term.effect.parameters(scene))))
+    return scene
+
+
+def displacement_of(term: Term, scene: Scene) -> Array:
+    """Displacement of the observed point by one term, (n, 3), m."""
+    return term.effect.displacement(scene, term.theta(term.effect.parameters(scene)))
+
+
+def elastic_response(terms: Sequence[Term], scene: Scene) -> ElasticResponse:
+    """How the springs among the terms answer, by differences in wrench and observed point (they are linear in both)."""
+    springs = [t for t in terms if t.effect.elastic]
+
+    def answer(s: Scene) -> Array:
+        return sum((displacement_of(t, s) for t in springs), np.zeros((len(s), 3)))
+
+    u = answer(scene)
+    compliance = np.empty((len(scene), 3, 6))
+    for i in range(6):
+        unit = np.zeros((len(scene), 6))
+        unit[:, i] = 1.0
+        more = scene.with_wrench(scene.force_in_tool + unit[:, :3], scene.torque_in_tool + unit[:, 3:])
+        compliance[:, :, i] = answer(more) - u
+    by_shift = []
+    for e in np.eye(3):
+        kept = {k: v for k, v in scene._cache.items() if "tau" in k or k in ("force", "torque")}
+        by_shift.append(answer(replace(scene, p_observed=scene.p_observed + e, _cache=kept)) - u)
+    x, y, z = by_shift  # u(p + e) - u(p) = rotation x e
+    rotation = np.stack([y[:, 2], z[:, 0], x[:, 1]], axis=1)
+    return ElasticResponse(u, rotation, compliance)
+
+
+def prepared(terms: Sequence[Term], scene: Scene) -> Scene:
+    """The scene as the effects of a model see it: wrench corrected, elastic response attached where one needs it."""
+    scene = apply_wrench_effects(terms, scene)
+    if any(t.effect.needs_elastic for t in terms):
+        scene = replace(scene, elastic=elastic_response(terms, scene))
+    return scene
+
+
+def displacements(terms: Sequence[Term], scene: Scene) -> dict[str, Array]:
+    """Displacement of the observed point by each term that moves it, effect id -> (n, 3), m."""
+    scene = prepared(terms, scene)
+    return {t.effect.id: displacement_of(t, scene) for t in terms if t.effect.acts_on != "wrench"}
+
+
+def total_displacement(terms: Sequence[Term], scene: Scene) -> Array:
+    """Sum over the terms, (n, 3), m."""
+    return sum(displacements(terms, scene).values(), np.zeros((len(scene), 3)))
+
+
+def regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
+    """Derivative of the total displacement by the parameters of each term at their values, list of (n, 3, p)."""
+    ready = prepared(terms, scene)
+    out = []
+    for i, term in enumerate(terms):
+        parameters = term.effect.parameters(scene)
+        theta = term.theta(parameters)
+        if term.effect.acts_on == "wrench":
+            out.append(_wrench_regressor(terms, i, scene, parameters, theta))
+        else:
+            out.append(term.effect.regressor(ready, theta))
+    return out
+
+
+def _wrench_regressor(
+    terms: Sequence[Term], i: int, scene: Scene, parameters: Sequence[Parameter], theta: Array
+) -> Array:
+    out = np.empty((len(scene), 3, len(parameters)))
+    for p, parameter in enumerate(parameters):
+        h = 1e-2 * parameter.scale
+        sides = []
+        for step in (h, -h):
+            moved = theta.copy()
+            moved[p] += step
+            values = {q.name: Estimate(float(v)) for q, v in zip(parameters, moved, strict=True)}
+            changed = [*terms[:i], replace(terms[i], estimates=values), *terms[i + 1 :]]
+            sides.append(total_displacement(changed, scene))
+        out[:, :, p] = (sides[0] - sides[1]) / (2 * h)
+    return out
