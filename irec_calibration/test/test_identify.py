@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Identification on sessions with a known truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from synthetic import COMPLIANCE, TRANSVERSE, session
+
+from irec_calibration.errors import SolveError
+from irec_calibration.identify import cross_validated_rms, identify
+from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, blank_model
+from irec_calibration.session import Noise
+
+QUIET = Noise(tracker_m=1e-9)
+
+
+def test_a_noise_free_session_is_explained_to_the_last_nanometre():
+    fit = identify(session(12, noise=QUIET), blank_model(EIGHTEEN_DOF))
+    assert fit.rms < 5e-9
+
+
+def test_the_spherical_wrist_leaves_combinations_that_are_named():
+    fit = identify(session(31), blank_model(EIGHTEEN_DOF))
+    assert 14 <= fit.rank < 18
+    assert fit.combinations
+    linked = {name for group in fit.combinations for name in group}
+    for term in fit.terms:
+        for name, e in term.estimates.items():
+            if f"{term.effect.id}.{name}" in linked:
+                assert not e.identified and np.isnan(e.se)
+
+
+def test_identified_compliances_are_within_four_standard_errors_of_the_truth():
+    fit = identify(session(31, seed=3), blank_model(EIGHTEEN_DOF))
+    truth = {f"c_{k + 1}": c for k, c in enumerate(COMPLIANCE)}
+    truth |= {f"c_{i // 2 + 1}{'ab'[i % 2]}": c for i, c in enumerate(TRANSVERSE)}
+    single = [(name, e) for t in fit.terms for name, e in t.estimates.items() if e.se == e.se and e.value > 0.0]
+    assert len(single) >= 8
+    for name, e in single:
+        assert abs(e.value - truth[name]) < 4.0 * e.se, name
+
+
+def test_held_out_error_of_the_true_model_is_the_instrument_noise():
+    fit = identify(session(31, seed=5), blank_model(EIGHTEEN_DOF))
+    cv = cross_validated_rms(fit.terms, fit.observation)
+    assert 0.9 < cv / fit.observation.whiten.floor < 1.15
+
+
+def test_six_compliances_leave_the_bending_unexplained():
+    data = session(31, seed=5)
+    six, eighteen = (identify(data, blank_model(e)) for e in (SIX_DOF, EIGHTEEN_DOF))
+    assert six.rms > 2.0 * eighteen.rms
+
+
+def test_compliances_are_never_negative():
+    fit = identify(session(5, seed=1), blank_model(EIGHTEEN_DOF))
+    assert all(e.value >= 0.0 for t in fit.terms for e in t.estimates.values())
+
+
+def test_a_session_without_loaded_rows_is_refused():
+    data = session(3)
+    with pytest.raises(SolveError, match="no loaded row"):
+        identify(data.select(data.load_case == 0), blank_model(SIX_DOF))
