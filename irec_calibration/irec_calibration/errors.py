@@ -16,6 +16,10 @@ class SessionError(IrecError):
     """A recording is not a valid session; names file, line and column."""
 
 
+class RecordingError(IrecError):
+    """A recording (MCAP) can't be written or read."""
+
+
 class ModelError(IrecError):
     """A model file is wrong or does not fit the robot or session."""
 
