@@ -81,7 +81,7 @@ def generate_pool(cell: Cell, size: int = 3000, seed: int = 1) -> Pool:
     if size < 1:
         raise PlanError(f"a pool of {size} candidates was asked for, at least 1 is needed")
     rng = np.random.default_rng(seed)
-    checker = _Checker(cell)
+    checker = Checker(cell)
     parts: list[dict[str, Array]] = []
     drawn = 0
     while drawn < 3 * size:
@@ -118,7 +118,7 @@ def generate_pool(cell: Cell, size: int = 3000, seed: int = 1) -> Pool:
     return pool
 
 
-def _engage(cell: Cell, checker: _Checker, points: SurfacePoints, rng: np.random.Generator) -> dict[str, Array]:
+def _engage(cell: Cell, checker: Checker, points: SurfacePoints, rng: np.random.Generator) -> dict[str, Array]:
     """Try to engage every point; level[i] is the index of the check that stopped it, _ACCEPTED when none did."""
     n, k = len(points.p), cell.robot.n_joints
     names = list(REASONS)
@@ -177,7 +177,7 @@ def _rail_guess(cell: Cell, p_in_cell: Array, rng: np.random.Generator) -> Array
     return np.where(inside, abreast, anywhere)
 
 
-class _Checker:
+class Checker:
     """The checks of one cell on configurations; what does not depend on the configuration is kept."""
 
     def __init__(self, cell: Cell) -> None:
