@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sections of the cell file that steer Procedure 1 and judge a recalibration. SI units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..cell import Cell, Section
+from ..errors import CellError
+from ..typing import Array
+from .table import STATES
+
+
+@dataclass(frozen=True)
+class Settling:
+    """When a load case stands still over one window.
+
+    Attributes:
+        force_n: largest distance of the mean force from the set point, each axis, N.
+        force_drift_n, marker_drift_m: largest difference of the means of the two halves, beyond their noise, N and m.
+        marker_std_m: largest standard deviation of the marker, each axis, m.
+        slip_m: largest lateral way of the marker since the reference, m; more means that the contact has slipped.
+    """
+
+    force_n: float
+    force_drift_n: float
+    marker_drift_m: float
+    marker_std_m: float
+    slip_m: float
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How Procedure 1 is run.
+
+    Attributes:
+        home_speed: share of the joint velocity limits. linear_speed: of the TCP, m/s.
+        window_s: averaging window, s. min_samples: tracker samples that it needs.
+        force_abort_n: norm of the force that ends the run, N. sensor_range_n: largest valid reading of one axis, N.
+        friction: largest ratio of lateral to normal force, safety included.
+        timeouts: state -> s. skip_limit: share of the poses that may fail.
+        workspace: lower and upper corner (2, 3) of the box that the TCP may be in, cell frame, m.
+    """
+
+    home_speed: float
+    linear_speed: float
+    window_s: float
+    settling: Settling
+    min_samples: int
+    force_abort_n: float
+    sensor_range_n: float
+    friction: float
+    repeats: int
+    timeouts: dict[str, float]
+    skip_limit: float
+    workspace: Array
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """What must hold before a recalibration puts its model in force.
+
+    Attributes:
+        min_poses: complete poses. held_out_share: share of the poses that judge and never take part in the fit.
+        held_out_rms_m: largest RMS of the new model on held-out poses, m.
+        max_ratio_to_old: largest ratio of that to the RMS of the model in force on the same rows.
+        max_noise_floors: largest ratio of that to the noise floor.
+    """
+
+    min_poses: int
+    held_out_share: float
+    held_out_rms_m: float
+    max_ratio_to_old: float
+    max_noise_floors: float
+
+
+def read_settings(cell: Cell) -> Settings:
+    """Read `procedure`, `workspace` and `force_sensor` of a cell file.
+
+    Raises:
+        CellError: names file, key, value and what is allowed.
+    """
+    top = Section(cell.path, "", cell.raw)
+    s = top.section("procedure")
+    s.only(
+        "home_speed", "linear_speed", "window_s", "settling", "min_samples", "force_abort_n", "repeats", "timeouts", "skip_limit"
+    )
+    still = s.section("settling")
+    still.only("force_n", "force_drift_n", "marker_drift_m", "marker_std_m", "slip_m")
+    timed = [state.name for state in STATES.values() if state.otherwise]
+    timeouts = s.section("timeouts")
+    timeouts.only(*timed)
+    sensor = top.section("force_sensor")
+    sensor.only("frame", "axis_in_tool0", "range_n")
+    box = top.section("workspace")
+    box.only("lower", "upper")
+    workspace = np.array([box.vector("lower", 3), box.vector("upper", 3)])
+    if (workspace[0] >= workspace[1]).any():
+        raise CellError(f"{cell.path}: workspace.upper is {workspace[1].tolist()}, must be more than lower {workspace[0].tolist()}")
+    settings = Settings(
+        home_speed=s.number("home_speed", 0.001, 1.0),
+        linear_speed=s.number("linear_speed", 0.0001, 1.0),
+        window_s=s.number("window_s", 0.05, 60.0),
+        settling=Settling(*(still.number(k, 1e-9) for k in Settling.__dataclass_fields__)),
+        min_samples=int(s.number("min_samples", 4)),
+        force_abort_n=s.number("force_abort_n", 1.0),
+        sensor_range_n=sensor.number("range_n", 1.0),
+        friction=cell.friction,
+        repeats=int(s.number("repeats", 1, 1000)),
+        timeouts={state: timeouts.number(state, 0.1, 86400.0) for state in timed},
+        skip_limit=s.number("skip_limit", 0.0, 1.0),
+        workspace=workspace,
+    )
+    _check_loads(cell, settings)
+    return settings
+
+
+def _check_loads(cell: Cell, settings: Settings) -> None:
+    """The load cases must be within what the contact holds and the run survives."""
+    for f in cell.forces_in_tool:
+        lateral, norm = float(np.hypot(f[0], f[1])), float(np.linalg.norm(f))
+        if lateral > cell.friction * abs(f[2]):
+            raise CellError(
+                f"{cell.path}: load_cases: {lateral:.0f} N across at {abs(f[2]):.0f} N normal would slip; the contact holds"
+                f" {cell.friction * abs(f[2]):.0f} N (friction / friction_safety); lower fx, fy or raise fz"
+            )
+        if norm >= settings.force_abort_n:
+            raise CellError(
+                f"{cell.path}: procedure.force_abort_n is {settings.force_abort_n:g} N, must be more than the largest"
+                f" load case, {norm:.0f} N"
+            )
+
+
+def read_acceptance(cell: Cell) -> Acceptance:
+    """Read `acceptance` of a cell file. Raises CellError."""
+    s = Section(cell.path, "", cell.raw).section("acceptance")
+    s.only(*Acceptance.__dataclass_fields__)
+    return Acceptance(
+        int(s.number("min_poses", 2)),
+        s.number("held_out_share", 0.05, 0.9),
+        s.number("held_out_rms_m", 1e-9),
+        s.number("max_ratio_to_old", 1e-3),
+        s.number("max_noise_floors", 1e-3),
+    )

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot for the tests of the state machine: moves take a second, forces follow, the marker stands still."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from irec_calibration.procedure.checks import Target
+from irec_calibration.procedure.machine import (
+    CancelMove,
+    Event,
+    ForceSetpoint,
+    MoveJoint,
+    MoveLinear,
+    Procedure,
+    Row,
+    SwitchMode,
+)
+from irec_calibration.procedure.settings import Settings, Settling
+from irec_calibration.procedure.settle import Streams
+from irec_calibration.procedure.table import STATES
+
+FORCES = np.array([[0, 0, -1100.0], [280, 0, -1100], [-280, 0, -1100]])
+NAMES = tuple(f"joint_{i + 1}" for i in range(6))
+
+
+def settings(**changed: object) -> Settings:
+    values: dict = dict(
+        home_speed=0.25, linear_speed=0.1, window_s=0.4, settling=Settling(15.0, 5.0, 6e-6, 6e-5, 1e-3), min_samples=20,
+        force_abort_n=1600.0, sensor_range_n=2500.0, friction=0.333, repeats=1,
+        timeouts={s.name: 10.0 for s in STATES.values() if s.otherwise}, skip_limit=0.5, workspace=np.zeros((2, 3)),
+    )  # fmt: skip
+    return Settings(**{**values, **changed})
+
+
+def targets(n: int, bad: dict[int, str] | None = None) -> list[Target]:
+    return [
+        Target(i, np.full(6, 0.1 * i), None, np.eye(3), np.array([1, 0, 0.15]), np.array([1, 0, 0.003]), (bad or {}).get(i, ""))
+        for i in range(1, n + 1)
+    ]
+
+
+class FakeRobot:
+    """Runs a Procedure to its end in simulated time; what it answers and reads can be changed at any time."""
+
+    def __init__(self, n_poses: int = 2, bad: dict[int, str] | None = None, seed: int = 1, **arguments: object) -> None:
+        self.streams = Streams(5.0)
+        self.procedure = Procedure(
+            targets(n_poses, bad), FORCES, np.zeros(6), settings(**arguments.pop("settings", {})), self.streams,  # type: ignore[arg-type]
+            {"A": np.eye(3)}, **arguments,  # type: ignore[arg-type]
+        )  # fmt: skip
+        self.rng = np.random.default_rng(seed)
+        self.now = 0.0
+        self.force_control = False
+        self.near_surface = False
+        self.wanted = np.zeros(3)
+        self.force = np.zeros(3)
+        self.marker = np.array([2.0, 0.0, 0.0])
+        self.sees_marker = True
+        self.delivers_force = True
+        self.force_share = np.ones(3)  # what the contact can hold of the wanted force
+        self.extra_force = np.zeros(3)
+        self.obeys_moves = self.obeys_modes = True
+        self.sliding = np.zeros(3)  # m/s
+        self.rows: list[Row] = []
+        self.events: list[Event] = []
+        self.commands: list[object] = []
+        self.states: list[str] = []
+        self._move: tuple[float, MoveJoint | MoveLinear] | None = None
+
+    def run(self, until_s: float = 600.0, stop_when: str = "finished") -> FakeRobot:
+        """Advance until the state is reached; raises if it takes longer than until_s of its own time."""
+        end = self.now + until_s
+        while self.procedure.state != stop_when:
+            if self.now > end:
+                raise TimeoutError(f"still in {self.procedure.state} after {until_s} s: {self.procedure.message}")
+            self.tick()
+        return self
+
+    def start(self) -> FakeRobot:
+        self.procedure.start()
+        return self
+
+    def tick(self, dt: float = 0.01) -> None:
+        self.now += dt
+        self._read(dt)
+        if self._move and self.now >= self._move[0]:
+            move, self._move = self._move[1], None
+            if isinstance(move, MoveLinear):
+                self.near_surface = bool(move.p_in_base[2] < 0.01)
+            else:
+                self.near_surface = False
+            self.procedure.move_finished(True)
+        for command in self.procedure.step(self.now):
+            self.commands.append(command)
+            self._carry_out(command)
+        if not self.states or self.states[-1] != self.procedure.state:
+            self.states.append(self.procedure.state)
+
+    def _read(self, dt: float) -> None:
+        goal = self.wanted * self.force_share if self.force_control else np.zeros(3)
+        self.force += (goal - self.force) * min(1.0, dt / 0.1)
+        self.marker = self.marker + self.sliding * dt * self.force_control
+        if self.delivers_force:
+            noisy = self.force + self.extra_force + self.rng.normal(0, 1.0, 3)
+            self.streams.add_wrench(self.now, (*noisy, 0.0, 0.0, 0.0))
+        if self.sees_marker:
+            self.streams.add_marker(self.now, *(self.marker + self.rng.normal(0, 1e-5, 3)), "A")
+        self.streams.add_joints(self.now, NAMES, (0.0,) * 6)
+        self.streams.add_tcp(self.now, 1.0, 0.0, 0.003)
+
+    def _carry_out(self, command: object) -> None:
+        if isinstance(command, MoveJoint | MoveLinear):
+            if self.force_control:
+                raise AssertionError("a move was asked for in force control")
+            if self.obeys_moves:
+                self._move = (self.now + 1.0, command)
+        elif isinstance(command, CancelMove):
+            self._move = None
+        elif isinstance(command, SwitchMode):
+            if self.obeys_modes:
+                self.force_control, self.wanted = command.force, command.force_in_tool
+                self.procedure.mode_switched(True)
+        elif isinstance(command, ForceSetpoint):
+            if not self.force_control:
+                raise AssertionError("a force was asked for in position control")
+            self.wanted = command.force_in_tool
+        elif isinstance(command, Row):
+            self.rows.append(command)
+        elif isinstance(command, Event):
+            self.events.append(command)
+
+    @property
+    def is_safe(self) -> bool:
+        """Retracted and in position control."""
+        return not self.force_control and not self.near_surface and self._move is None
