@@ -46,9 +46,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         if name == wanted:
             module = import_module(f"irec_calibration.commands.{module_name}")
             module.configure(sub)
+            sub.add_argument("--effects", metavar="FILE", action="append", default=[], help="Python file with effects of your own")
             sub.set_defaults(run=module.run)
     args = parser.parse_args(argv)
     try:
+        for path in args.effects:
+            from .effects.user import register_file  # only who names a file pays for it
+
+            register_file(path)
         return int(args.run(args) or 0)
     except Cancelled as error:
         print(f"irec {args.command}: {error}", file=sys.stderr)

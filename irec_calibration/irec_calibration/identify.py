@@ -18,7 +18,7 @@ from . import __version__
 from .bounded import solve_bounded_gram
 from .effects import Parameter, absent
 from .errors import Cancelled, SolveError
-from .model import Envelope, Estimate, Model, Term, elastic_response, regressors, total_displacement
+from .model import Combination, Envelope, Estimate, Model, Term, elastic_response, regressors, total_displacement
 from .observe import Observation, observe
 from .session.data import Session
 from .typing import Array, BoolArray
@@ -63,7 +63,7 @@ class Fit:
         rms: sqrt(mean |r|^2) over samples, m.
         chi2: sum of whitened squared residuals; dof: equations minus rank.
         rank: numerical rank of the observation matrix.
-        combinations: names (effect.parameter) that are known only in combination.
+        combinations: what is known of parameters that can't be told apart.
     """
 
     terms: tuple[Term, ...]
@@ -74,7 +74,7 @@ class Fit:
     dof: int
     rank: int
     condition: float
-    combinations: tuple[tuple[str, ...], ...]
+    combinations: tuple[Combination, ...]
 
 
 def linearise(terms: Sequence[Term], observation: Observation) -> System:
@@ -205,7 +205,10 @@ def _describe(terms: tuple[Term, ...], observation: Observation) -> Fit:
     single = seen & (loss < 1e-3)
     se = np.where(single, np.sqrt(variance) * system.scale, np.nan)
     terms = _with_errors(terms, system, se, single)
-    combinations = _combinations(hidden, np.array(names)[seen], loss[seen])
+    values = np.array([terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)])
+    to_physical = system.scale[seen] / norm[seen]
+    covariance = (known.T / s[:rank] ** 2) @ known * np.outer(to_physical, to_physical)
+    combinations = _combinations(hidden * to_physical, loss[seen], np.array(names)[seen], values[seen], covariance)
     rms = float(np.sqrt((residual**2).sum(axis=1).mean()))
     condition = float(s[0] / s[rank - 1]) if rank else np.inf
     return Fit(terms, observation, residual, rms, chi2, residual.size - rank, rank, condition, combinations)
@@ -224,19 +227,39 @@ def _with_errors(terms: tuple[Term, ...], system: System, se: Array, single: Boo
     return tuple(out)
 
 
-def _combinations(hidden: Array, names: Array, loss: Array) -> tuple[tuple[str, ...], ...]:
-    """Sets of parameters linked by directions that are not observed."""
-    if not len(hidden):
-        return ()
-    projector = hidden.T @ hidden
+def _combinations(hidden: Array, loss: Array, names: Array, values: Array, covariance: Array) -> tuple[Combination, ...]:
+    """Sums that stay the same along every direction that is not observed.
+
+    Args:
+        hidden: unobserved directions in physical units, (d, p).
+        loss: share of each parameter that lies along them, (p,).
+        covariance: of the observed part, in physical units, (p, p).
+    """
     members = np.flatnonzero(loss >= 1e-3)
-    linked = np.abs(projector[np.ix_(members, members)]) > 1e-4
-    groups: list[set[int]] = []
-    for a in range(len(members)):
-        touching = [g for g in groups if any(linked[a, b] for b in g)]
-        merged = {a}.union(*touching)
-        groups = [g for g in groups if g not in touching] + [merged]
-    return tuple(tuple(str(names[members[i]]) for i in sorted(g)) for g in groups)
+    if not len(members):
+        return ()
+    # reduced row echelon form: each parameter that is no pivot, corrected by the pivots, is a sum that is observed
+    size = np.abs(hidden[:, members]).max(axis=0)
+    rows = hidden[:, members] / size
+    pivots: list[int] = []
+    for r in range(len(rows)):
+        column = int(np.argmax(np.abs(rows[r])))
+        pivots.append(column)
+        rows[r] /= rows[r, column]
+        others = np.arange(len(rows)) != r
+        rows[others] -= np.outer(rows[others, column], rows[r])
+    out = []
+    for j in range(len(members)):
+        if j in pivots:
+            continue
+        w = np.zeros(len(names))
+        w[members[j]] = 1.0
+        w[members[pivots]] = -rows[:, j] * size[j] / size[pivots]
+        w[np.abs(w) < 1e-6] = 0.0
+        if np.count_nonzero(w) > 1:
+            weights = {str(names[i]): float(w[i]) for i in np.flatnonzero(w)}
+            out.append(Combination(weights, float(w @ values), float(np.sqrt(w @ covariance @ w))))
+    return tuple(out)
 
 
 def observe_with_force_noise(session: Session, terms: Sequence[Term]) -> Observation:

@@ -62,6 +62,24 @@ class Envelope:
 
 
 @dataclass(frozen=True)
+class Combination:
+    """A sum of parameters that is known although its members are not.
+
+    Attributes:
+        weights: parameter (effect.parameter) -> weight in the sum.
+        value, se: of the sum, in the members' unit.
+    """
+
+    weights: dict[str, float]
+    value: float
+    se: float
+
+    def __str__(self) -> str:
+        parts = [f"{'-' if w < 0 else '+'} {'' if abs(abs(w) - 1) < 1e-6 else f'{abs(w):.3g} '}{n}" for n, w in self.weights.items()]
+        return " ".join(parts).removeprefix("+ ") + f" = {self.value:.4g} (std. error {self.se:.2g})"
+
+
+@dataclass(frozen=True)
 class Model:
     """Effects with values, and whose robot they belong to.
 
@@ -70,7 +88,7 @@ class Model:
         tool: name or note of the tool that was mounted.
         made: how it was made: session, solver, version, date, parent.
         figures: what it earned: fit_rms_m, cv_rms_m, noise_floor_m, rank, ...
-        combinations: names of parameters that are known only together.
+        combinations: sums that are known of parameters which are not known singly.
     """
 
     terms: tuple[Term, ...]
@@ -81,7 +99,7 @@ class Model:
     envelope: Envelope | None = None
     made: Json = field(default_factory=dict)
     figures: Json = field(default_factory=dict)
-    combinations: tuple[tuple[str, ...], ...] = ()
+    combinations: tuple[Combination, ...] = ()
     history: tuple[Json, ...] = ()
 
     @property

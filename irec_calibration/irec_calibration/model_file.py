@@ -13,8 +13,9 @@ from typing import Any
 import yaml
 
 from .effects import find_effect
+from .effects.formula import FormulaEffect
 from .errors import EffectError, ModelError
-from .model import Envelope, Estimate, Model, Term
+from .model import Combination, Envelope, Estimate, Model, Term
 from .robot import Robot
 
 FORMAT = "irec-model/1"
@@ -31,12 +32,11 @@ def save_model(model: Model, path: str | Path) -> Path:
         "effects": [
             {"effect": t.effect.id, "parameters": {name: _entry(e) for name, e in t.estimates.items()}} for t in model.terms
         ],
-        "known_only_in_combination": [list(c) for c in model.combinations],
+        "known_only_in_combination": [{"sum_of": c.weights, "value": c.value, "se": c.se} for c in model.combinations],
     }
-    formulas = {t.effect.id: t.effect.formula for t in model.terms if hasattr(t.effect, "formula")}
-    for item in data["effects"]:
-        if item["effect"] in formulas:
-            item["formula"] = formulas[item["effect"]]
+    for item, term in zip(data["effects"], model.terms, strict=True):
+        if isinstance(term.effect, FormulaEffect):
+            item["formula"] = term.effect.formula
     if model.envelope is not None:
         data["envelope"] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(model.envelope).items()}
     if model.history:
@@ -101,7 +101,10 @@ def load_model(path: str | Path) -> Model:
         envelope=envelope,
         made=data.get("made") or {},
         figures=data.get("figures") or {},
-        combinations=tuple(tuple(c) for c in data.get("known_only_in_combination") or ()),
+        combinations=tuple(
+            Combination({str(n): float(w) for n, w in c["sum_of"].items()}, float(c["value"]), float(c["se"]))
+            for c in data.get("known_only_in_combination") or ()
+        ),
         history=tuple(data.get("history") or ()),
     )
 
@@ -110,7 +113,8 @@ def _term(item: Any, where: str) -> Term:
     if not isinstance(item, dict) or not isinstance(item.get("effect"), str):
         raise ModelError(f"{where}: 'effect' must name an effect")
     try:
-        effect = find_effect(item["effect"])
+        formula = item.get("formula")
+        effect = find_effect(item["effect"]) if formula is None else FormulaEffect(item["effect"], str(formula))
     except EffectError as error:
         raise EffectError(f"{where}: {error}") from error
     estimates = {}

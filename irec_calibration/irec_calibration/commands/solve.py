@@ -17,13 +17,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", default="model.yaml", help="model file to write (default: model.yaml)")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--dof", type=int, choices=(6, 18), default=18, help="6: joint_torsion; 18: with link_bending (default)")
-    which.add_argument("--effects", help="effect ids with commas between, instead of --dof")
+    which.add_argument("--terms", help="effect ids with commas between, instead of --dof")
     parser.add_argument("--json", action="store_true", help="machine-readable figures on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
     session = read_session(args.session)
-    effects = args.effects.split(",") if args.effects else (SIX_DOF if args.dof == 6 else EIGHTEEN_DOF)
+    effects = args.terms.split(",") if args.terms else (SIX_DOF if args.dof == 6 else EIGHTEEN_DOF)
     model = model_of(identify(session, blank_model([e.strip() for e in effects])))
     path = save_model(model, args.output)
     if args.json:
@@ -49,5 +49,5 @@ def describe(model: Model) -> str:
         f"{f['poses']} poses, {f['samples']} samples; rank {f['rank']}; residual {1e6 * f['fit_rms_m']:.1f} um"
         f" (held-out poses {1e6 * f['cv_rms_m']:.1f} um), instrument noise {1e6 * f['noise_floor_m']:.1f} um"
     )
-    lines += [f"known only together: {', '.join(c)}" for c in model.combinations]
+    lines += [f"known as a sum: {c}" for c in model.combinations]
     return "\n".join(lines)

@@ -92,12 +92,15 @@ def known_effects() -> dict[str, Effect]:
 
 
 def find_effect(effect_id: str) -> Effect:
-    """The effect of an id.
+    """The effect of an id, or of the dotted path of an installed or registered effect class.
 
     Raises:
         EffectError: no such effect; names those that exist.
     """
     known = known_effects()
+    by_path = {f"{type(e).__module__}.{type(e).__qualname__}": e for e in known.values()}
+    if effect_id in by_path:
+        return by_path[effect_id]
     if effect_id not in known:
-        raise EffectError(f"effect '{effect_id}' is not known; there are {', '.join(known)}")
+        raise EffectError(f"effect '{effect_id}' is not known; there are {', '.join(known)}; effects of your own: --effects FILE")
     return known[effect_id]

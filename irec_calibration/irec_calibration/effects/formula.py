@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An effect that a user writes as one line: `axis 3: c * tau**3`.
+
+The part before the colon says what the formula gives: `axis K` an angle about joint K, `tool x|y|z` or `base x|y|z` a displacement
+along an axis of tool0 or base_link. The expression may use the variables of `VARIABLES`, the functions of `FUNCTIONS`, numbers, and
+any other names, which become parameters. It is parsed into a tree of permitted operations and never handed to `eval`.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+from ..errors import EffectError
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+
+VARIABLES: dict[str, str] = {
+    "tau": "torque of the process about the target axis, N m (axis K only)",
+    "tau_g": "torque of gravity about the target axis, N m (axis K only)",
+    "q": "angle of the target axis, rad (axis K only)",
+    "step": "change of the target axis since the previous row, rad (axis K only)",
+    "tau_1 ..": "process torque about axis 1, 2, .., N m",
+    "tau_g_1 ..": "gravity torque about axis 1, 2, .., N m",
+    "q_1 ..": "angle of axis 1, 2, .., rad",
+    "step_1 ..": "change of axis 1, 2, .. since the previous row, rad",
+    "f_x f_y f_z": "force of the environment on the robot in tool0, N",
+    "b_x b_y b_z": "the same in base_link, N",
+    "x y z": "TCP in base_link, m",
+    "t": "time since the session began, s",
+    "dwell": "time since the load was applied, s",
+    "temp_NAME": "a logged temperature, degC",
+    "ext_NAME": "an external axis, m or rad",
+}
+FUNCTIONS: dict[str, Callable[..., Array]] = {
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "tanh": np.tanh, "exp": np.exp, "log": np.log, "sqrt": np.sqrt,
+    "abs": np.abs, "sign": np.sign, "min": np.minimum, "max": np.maximum,
+}  # fmt: skip
+CONSTANTS = {"pi": np.pi}
+TWO_ARGUMENTS = ("min", "max")
+OPERATORS: dict[type[ast.AST], Callable[..., Array]] = {
+    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power,
+    ast.USub: np.negative, ast.UAdd: np.positive,
+}  # fmt: skip
+TYPICAL_DISPLACEMENT = 1e-4  # m; a parameter of scale 1 moves the marker by about this much
+LONGEST_FORMULA = 500
+LARGEST_EXPONENT = 12
+
+
+class FormulaEffect(Effect):
+    """One line of formula as an effect. Raises EffectError on construction where the line can't be read."""
+
+    physics = "Written by the user as a formula."
+
+    def __init__(self, effect_id: str, formula: str) -> None:
+        """Parse.
+
+        Args:
+            effect_id: id that files and reports use.
+            formula: `TARGET: EXPRESSION`.
+        """
+        self.id = effect_id  # type: ignore[misc]
+        self.formula = formula
+        self.label = formula  # type: ignore[misc]
+        target, colon, expression = formula.partition(":")
+        found = re.fullmatch(r"\s*(?:axis\s+(\d+)|(tool|base)\s+([xyz]))\s*", target)
+        if not colon or found is None:
+            raise EffectError(
+                f"formula '{formula}': it must begin with 'axis K:', 'tool x:' (y, z) or 'base x:' (y, z), as in 'axis 3: c * tau**3'"
+            )
+        if len(formula) > LONGEST_FORMULA:
+            raise EffectError(f"formula of {len(formula)} characters; at most {LONGEST_FORMULA} are read")
+        self._axis = int(found[1]) - 1 if found[1] else None
+        self._frame, self._direction = found[2], "xyz".find(found[3] or "x")
+        try:
+            self._tree = ast.parse(expression.strip(), mode="eval").body
+        except (SyntaxError, RecursionError, MemoryError) as error:
+            raise EffectError(f"formula '{formula}': not an expression: {error}") from error
+        self._check(self._tree)
+        names = {n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)}
+        called = {n.func.id for n in ast.walk(self._tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+        self._names = tuple(sorted(n for n in names - called if not _is_variable(n) and n not in CONSTANTS))
+        if not self._names:
+            raise EffectError(f"formula '{formula}': no parameter in it; give at least one name to be identified, such as c")
+
+    def _check(self, node: ast.AST) -> None:
+        allowed = (ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Constant)
+        if not isinstance(node, allowed):
+            raise EffectError(f"formula '{self.formula}': '{ast.unparse(node)}' is not allowed; use + - * / ** and functions")
+        if isinstance(node, ast.Constant) and (isinstance(node.value, bool) or not isinstance(node.value, (int, float))):
+            raise EffectError(f"formula '{self.formula}': {node.value!r} is not a number")
+        if isinstance(node, (ast.BinOp, ast.UnaryOp)):
+            if type(node.op) not in OPERATORS:
+                raise EffectError(f"formula '{self.formula}': operator in '{ast.unparse(node)}' is not allowed; use + - * / **")
+            if isinstance(node.op, ast.Pow) and isinstance(node.right, ast.Constant) and abs(node.right.value) > LARGEST_EXPONENT:  # type: ignore[operator]
+                raise EffectError(f"formula '{self.formula}': exponent {node.right.value} is above {LARGEST_EXPONENT}")
+            children = [node.left, node.right] if isinstance(node, ast.BinOp) else [node.operand]
+        elif isinstance(node, ast.Call):
+            if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS or node.keywords:
+                raise EffectError(f"formula '{self.formula}': '{ast.unparse(node.func)}' is not a function; there are {', '.join(FUNCTIONS)}")
+            needed = 2 if node.func.id in TWO_ARGUMENTS else 1
+            if len(node.args) != needed:
+                raise EffectError(f"formula '{self.formula}': {node.func.id} takes {needed} argument(s), {len(node.args)} given")
+            children = list(node.args)
+        else:
+            children = []
+        for child in children:
+            self._check(child)
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        variables = self._variables(scene)
+        ones = dict.fromkeys(self._names, 1.0)
+        out = []
+        for name in self._names:
+            # the size of a parameter that moves the marker visibly, other parameters at 1
+            angle = self._evaluate({**variables, **ones, name: 1.0}) - self._evaluate({**variables, **ones, name: 0.0})
+            moved = np.linalg.norm(self._along(scene) * np.broadcast_to(angle, len(scene))[:, None], axis=1)
+            size = float(np.sqrt(np.mean(np.nan_to_num(moved, posinf=0.0) ** 2)))
+            out.append(Parameter(name, "by formula", TYPICAL_DISPLACEMENT / size if size > 0.0 else 1.0))
+        return tuple(out)
+
+    def displacement(self, scene: Scene, theta: Array) -> Array:
+        value = self._evaluate({**self._variables(scene), **dict(zip(self._names, theta, strict=True))})
+        value = np.broadcast_to(value, len(scene))
+        if not np.isfinite(value).all():
+            row = int(np.flatnonzero(~np.isfinite(value))[0])
+            raise EffectError(f"effect '{self.id}', formula '{self.formula}': not a finite number in row {row + 1} of the session")
+        return self._along(scene) * value[:, None]
+
+    def _along(self, scene: Scene) -> Array:
+        """Displacement of the observed point per unit of the formula, (n, 3)."""
+        if self._axis is not None:
+            if self._axis >= scene.n_joints:
+                raise EffectError(f"formula '{self.formula}': the robot has {scene.n_joints} axes")
+            return scene.J[:, :, self._axis]
+        if self._frame == "tool":
+            return scene.kin.R_tool[:, :, self._direction] * scene.moves_with_arm[:, None]
+        return np.tile(np.eye(3)[self._direction], (len(scene), 1))
+
+    def _variables(self, scene: Scene) -> dict[str, Array]:
+        table: dict[str, Array] = {"t": scene.stamp, "dwell": scene.stamp - scene.load_since}
+        per_axis = {"tau": scene.tau, "tau_g": scene.tau_gravity, "q": scene.q, "step": scene.step}
+        for name, block in per_axis.items():
+            table |= {f"{name}_{k + 1}": block[:, k] for k in range(scene.n_joints)}
+            if self._axis is not None and self._axis < scene.n_joints:
+                table[name] = block[:, self._axis]
+        for prefix, block in (("f_", scene.force_in_tool), ("b_", scene.force), ("", scene.p_tcp)):
+            table |= {prefix + a: block[:, i] for i, a in enumerate("xyz")}
+        table |= {f"temp_{n}": v for n, v in scene.temperature.items()} | {f"ext_{n}": v for n, v in scene.ext.items()}
+        used = {n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)}
+        for name in used:
+            if _is_variable(name) and name not in table:
+                raise EffectError(f"formula '{self.formula}': '{name}' is not in this session; there are {', '.join(table)}")
+        return table
+
+    def _evaluate(self, values: dict[str, Array | float]) -> Array:
+        def walk(node: ast.AST) -> Array:
+            if isinstance(node, ast.Constant):
+                return np.float64(node.value)  # type: ignore[arg-type, return-value]
+            if isinstance(node, ast.Name):
+                return np.asarray(CONSTANTS[node.id] if node.id in CONSTANTS else values[node.id], dtype=float)
+            if isinstance(node, ast.BinOp):
+                return OPERATORS[type(node.op)](walk(node.left), walk(node.right))
+            if isinstance(node, ast.UnaryOp):
+                return OPERATORS[type(node.op)](walk(node.operand))
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                return FUNCTIONS[node.func.id](*(walk(a) for a in node.args))
+            raise EffectError(f"formula '{self.formula}': can't evaluate '{ast.unparse(node)}'")
+
+        with np.errstate(all="ignore"):
+            return walk(self._tree)
+
+
+def _is_variable(name: str) -> bool:
+    return bool(re.fullmatch(r"(tau|tau_g|q|step)(_\d+)?|[fb]_[xyz]|[xyzt]|dwell|temp_\w+|ext_\w+", name))
