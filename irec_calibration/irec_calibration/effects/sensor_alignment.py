@@ -28,5 +28,5 @@ class SensorAlignment(Effect):
         return tuple(Parameter(f"w_{a}", "rad", 0.03, -0.8, 0.8, plausible=(-0.3, 0.3), group=f"about {a}") for a in AXES)
 
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
-        R = Rotation.from_rotvec(theta)
-        return R.apply(scene.force_in_tool), R.apply(scene.torque_in_tool)
+        R = Rotation.from_rotvec(theta).as_matrix()
+        return scene.force_in_tool @ R.T, scene.torque_in_tool @ R.T

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The protocol that every effect of the catalogue keeps, and formulas written out independently for some."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from synthetic import session
+
+from irec_calibration.effects import CATALOGUE, absent, find_effect, known_effects
+from irec_calibration.effects.tool_weight import ToolWeight
+from irec_calibration.errors import EffectError
+from irec_calibration.identify import identify
+from irec_calibration.model import EIGHTEEN_DOF, Estimate, Term, blank_model, elastic_response, prepared
+from irec_calibration.scene import scene_of
+
+IDS = [cls.id for cls in CATALOGUE]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    data = session(6, seed=2)
+    rail = {"rail": np.linspace(-1.0, 1.0, len(data))}
+    warm = {"ambient": 20.0 + 0.01 * data.stamp}
+    terms = [Term(find_effect("joint_torsion"), {f"c_{k}": Estimate(1e-6) for k in range(1, 7)})]
+    base = replace(scene_of(data), ext=rail, temperature=warm)
+    return replace(base, elastic=elastic_response(terms, base))
+
+
+def _theta(effect, scene):
+    """Values within the bounds where every parameter acts."""
+    return np.array([np.clip(p.start if p.grid else 0.7 * p.scale, p.lower, p.upper) for p in effect.parameters(scene)])
+
+
+@pytest.mark.parametrize("effect_id", IDS)
+def test_the_regressor_is_the_derivative_of_the_displacement(effect_id, scene):
+    effect = find_effect(effect_id)
+    if effect.acts_on == "wrench":
+        pytest.skip("acts through the model: tested with the model")
+    parameters, theta = effect.parameters(scene), _theta(effect, scene)
+    block = effect.regressor(scene, theta)
+    assert block.shape == (len(scene), 3, len(parameters))
+    for i, p in enumerate(parameters):
+        if p.name in ("t_shift", "memory"):  # a step in time and a switch have no derivative
+            continue
+        h = np.eye(len(theta))[i] * 1e-3 * (theta[i] if p.grid else p.scale)
+        slope = (effect.displacement(scene, theta + h) - effect.displacement(scene, theta - h)) / (2 * h[i])
+        np.testing.assert_allclose(block[:, :, i], slope, rtol=2e-3, atol=1e-4 * np.abs(block[:, :, i]).max() + 1e-15)
+
+
+@pytest.mark.parametrize("effect_id", IDS)
+def test_an_effect_with_its_linear_parameters_at_zero_moves_nothing(effect_id, scene):
+    effect = find_effect(effect_id)
+    theta = np.array([p.start if p.grid else 0.0 for p in effect.parameters(scene)])
+    if effect.acts_on == "wrench":
+        np.testing.assert_array_equal(effect.wrench(scene, theta)[0], scene.force_in_tool)
+    else:
+        assert not effect.displacement(scene, theta).any()
+
+
+@pytest.mark.parametrize("effect_id", IDS)
+def test_parameters_have_unique_names_units_and_finite_scales(effect_id, scene):
+    parameters = find_effect(effect_id).parameters(scene)
+    assert len({p.name for p in parameters}) == len(parameters) > 0
+    assert all(p.unit and np.isfinite(p.scale) and p.scale > 0.0 for p in parameters)
+    assert all(p.lower <= p.start <= p.upper for p in parameters)
+
+
+@pytest.mark.parametrize("effect_id", [i for i in IDS if find_effect(i).elastic])
+def test_springs_obey_reciprocity_at_the_tcp(effect_id, scene):
+    """Maxwell-Betti: the compliance matrix at the TCP is symmetric (wrist coupling for equal c_kl and c_lk only)."""
+    effect = find_effect(effect_id)
+    at_tcp = replace(scene, p_observed=scene.p_tcp, _cache={})
+    values = {p.name: Estimate(p.scale if p.name[0] != "c" or "_" not in p.name or effect_id != "joint_coupling" else 1e-7)
+              for p in effect.parameters(scene)}  # fmt: skip
+    C = elastic_response([Term(effect, values)], at_tcp).compliance[:, :, :3]
+    C_in_base = np.einsum("nij,nkj->nik", C, scene.kin.R_tool)
+    np.testing.assert_allclose(C_in_base, np.swapaxes(C_in_base, 1, 2), atol=1e-9 * np.abs(C_in_base).max())
+
+
+def test_a_tilted_sensor_rotates_the_force_before_the_arm_answers():
+    angle = 0.05
+    truth = session(25, seed=4, noise=None)
+    f = truth.force_in_tool.copy()
+    # the sensor reads the force turned back by the angle about z
+    f[:, 0], f[:, 1] = np.cos(angle) * f[:, 0] + np.sin(angle) * f[:, 1], -np.sin(angle) * f[:, 0] + np.cos(angle) * f[:, 1]
+    fit = identify(replace(truth, force_in_tool=f), blank_model([*EIGHTEEN_DOF, "sensor_alignment"]))
+    found = fit.terms[-1].estimates["w_z"]
+    assert abs(found.value - angle) < 4.0 * found.se and found.se < 0.02
+
+
+def test_the_turn_of_a_station_is_found_with_its_sign():
+    turn = np.array([0.004, -0.006, 0.003])
+    truth = session(25, seed=6)
+    station = truth.stations[0]
+    stated = _with_rotation(station, Rotation.from_rotvec(-turn).as_matrix() @ station.R_in_base)
+    fit = identify(replace(truth, stations=(stated,)), blank_model([*EIGHTEEN_DOF, "station_registration"]))
+    for value, name in zip(turn, "xyz", strict=True):
+        e = fit.terms[-1].estimates[f"w_{name}_A"]
+        assert abs(e.value - value) < max(4.0 * e.se, 2e-4), name
+
+
+def _with_rotation(station, R):
+    return replace(station, quat_xyzw=tuple(Rotation.from_matrix(R).as_quat()))
+
+
+def test_backlash_moves_the_joint_by_the_whole_gap_when_its_torque_changes_sign():
+    gap = 2e-4
+    data = session(31, seed=8, extra=lambda s: s.J[:, :, 0] * (0.5 * gap * np.sign(s.tau[:, 0]))[:, None])
+    fit = identify(data, blank_model([*EIGHTEEN_DOF, "joint_backlash"]))
+    found = fit.terms[-1].estimates["b_1"]
+    assert abs(found.value - gap) < 4.0 * found.se and found.se < 0.2 * gap
+
+
+def test_a_constant_tool_weight_cancels_in_the_difference_but_shows_at_the_reference(scene):
+    excess = ToolWeight().reading(scene, np.array([3.0]))
+    np.testing.assert_allclose(np.linalg.norm(excess, axis=1), 3.0 * 9.81)
+
+
+def test_predictions_leave_out_what_only_instruments_see():
+    data = session(5)
+    scene = scene_of(data, observe="tcp")
+    assert scene.measured_from_station is None
+    for effect in known_effects().values():
+        if effect.acts_on == "instrument":
+            assert not effect.in_prediction
+
+
+def test_marker_offset_turns_with_the_elastic_rotation(scene):
+    effect = find_effect("marker_offset")
+    d = np.array([0.01, -0.02, 0.03])
+    lever = np.einsum("nij,j->ni", scene.kin.R_tool, d)
+    np.testing.assert_allclose(effect.displacement(scene, d), lever + np.cross(scene.elastic.rotation, lever), atol=1e-15)
+
+
+def test_an_effect_that_needs_temperatures_says_so_when_there_are_none():
+    data = scene_of(session(3))
+    assert absent(data, ("temperature",)) == "no temperature was logged"
+    assert absent(data, ("ext",)) == "no external axis was logged"
+    assert absent(replace(data, clock="none"), ("time",)) == "the session has no usable time stamps"
+
+
+def test_an_unknown_effect_is_refused_with_the_names_that_exist():
+    with pytest.raises(EffectError, match="'gremlins' is not known; there are joint_torsion"):
+        find_effect("gremlins")
+
+
+def test_wrench_effects_change_the_scene_that_springs_answer_to(scene):
+    terms = [Term(find_effect("sensor_gain"), {"e_xx": Estimate(0.1)})]
+    np.testing.assert_allclose(prepared(terms, scene).force_in_tool[:, 0], 1.1 * scene.force_in_tool[:, 0])
