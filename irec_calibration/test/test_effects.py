@@ -112,7 +112,8 @@ def test_backlash_moves_the_joint_by_the_whole_gap_when_its_torque_changes_sign(
     data = session(31, seed=8, extra=lambda s: s.J[:, :, 0] * (0.5 * gap * np.sign(s.tau[:, 0]))[:, None])
     fit = identify(data, blank_model([*EIGHTEEN_DOF, "joint_backlash"]))
     found = fit.terms[-1].estimates["b_1"]
-    assert abs(found.value - gap) < 4.0 * found.se and found.se < 0.2 * gap
+    # the catalogue softens the jump near zero torque, the truth does not: 10 %
+    assert abs(found.value - gap) < 0.1 * gap and found.se < 0.2 * gap
 
 
 def test_a_constant_tool_weight_cancels_in_the_difference_but_shows_at_the_reference(scene):
