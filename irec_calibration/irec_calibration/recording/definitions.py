@@ -16,7 +16,10 @@ from pathlib import Path
 from ..errors import RecordingError
 
 PRIMITIVES = frozenset(
-    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 string wstring".split()
+    (
+        *("bool", "byte", "char", "string", "wstring", "float32", "float64"),
+        *("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
+    )
 )
 _SEPARATOR = "=" * 80
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9]*")

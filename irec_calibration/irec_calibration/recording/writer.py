@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 import yaml
 from mcap.writer import CompressionType, Writer
@@ -142,7 +142,7 @@ class BagWriter:
         if self._error is not None:
             raise RecordingError(f"{self.path} is incomplete: {self._error}") from self._error
 
-    def __enter__(self) -> BagWriter:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
@@ -200,7 +200,7 @@ class BagWriter:
             with self._lock:
                 self._drain()
                 self._writer.finish()
-        except Exception as error:  # handed on to the caller by _check and close
+        except Exception as error:  # noqa: BLE001 - handed on to the caller by _check and close
             self._error = error
         finally:
             try:
