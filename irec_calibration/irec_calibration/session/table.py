@@ -21,7 +21,7 @@ XYZ = ("x", "y", "z")
 LIMIT_MARGIN_RAD = 0.01
 
 
-class _Columns:
+class Columns:
     """The columns of samples.csv as text, with errors that name file, line and column."""
 
     def __init__(self, path: Path) -> None:
@@ -108,10 +108,10 @@ def read_table(folder: str | Path) -> Session:
     folder = Path(folder)
     header = read_header(folder / "session.yaml")
     robot = Robot.from_urdf(header.urdf_path)
-    return session_from_columns(header, robot, _Columns(folder / "samples.csv"), folder)
+    return session_from_columns(header, robot, Columns(folder / "samples.csv"), folder)
 
 
-def session_from_columns(header: Header, robot: Robot, columns: _Columns, folder: Path) -> Session:
+def session_from_columns(header: Header, robot: Robot, columns: Columns, folder: Path) -> Session:
     """Build and check a session from its header and columns."""
     loaded = header.kind == "loaded"
     pose = columns.integers("pose", minimum=1)
@@ -183,7 +183,7 @@ def check_rows(session: Session, where: object) -> None:
                 )
 
 
-def _check_limits(columns: _Columns, robot: Robot, q: Array) -> None:
+def _check_limits(columns: Columns, robot: Robot, q: Array) -> None:
     margin = np.where(robot.is_prismatic, 0.001, LIMIT_MARGIN_RAD)
     outside = (q < robot.lower - margin) | (q > robot.upper + margin)
     for i, k in np.argwhere(outside):
@@ -193,7 +193,7 @@ def _check_limits(columns: _Columns, robot: Robot, q: Array) -> None:
         )
 
 
-def _index(columns: _Columns, name: str, names: list[str]) -> Array:
+def _index(columns: Columns, name: str, names: list[str]) -> Array:
     if name not in columns:
         return np.zeros(len(columns), dtype=np.int64)
     out = np.zeros(len(columns), dtype=np.int64)
@@ -218,7 +218,7 @@ def write_table(session: Session, folder: str | Path) -> Path:
     header = {"format": "irec-session/1", **session.meta}
     header["robot"] = {**header.get("robot", {}), "urdf": "robot.urdf", "serial": session.serial}
     header.update(name=session.name, kind=session.kind)
-    names, columns = _columns_of(session)
+    names, columns = columns_of(session)
     _replace(folder / "robot.urdf", session.robot.urdf_text)
     _replace(folder / "session.yaml", yaml.safe_dump(header, sort_keys=False, allow_unicode=True))
     lines = [",".join(names)] + [",".join(row) for row in zip(*columns, strict=True)]
@@ -226,7 +226,7 @@ def write_table(session: Session, folder: str | Path) -> Path:
     return folder
 
 
-def _columns_of(s: Session) -> tuple[list[str], list[list[str]]]:
+def columns_of(s: Session) -> tuple[list[str], list[list[str]]]:
     table: dict[str, list[str]] = {}
 
     def put(name: str, values: Array) -> None:

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The MCAP form of a session: LoadCaseRecord messages, with `session.yaml` and `robot.urdf` attached.
+
+Both forms have the same columns, so that everything that is checked in a table is checked here by the same code.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from .. import __version__
+from ..errors import SessionError
+from ..recording import BagReader, BagWriter
+from ..robot import Robot
+from . import record_message
+from .data import Session
+from .header import FORMAT, Header, parse_header
+from .table import XYZ, Columns, columns_of, session_from_columns
+
+EVENT_TOPIC = "/irec/procedure/event"
+EVENT_TYPE = "std_msgs/msg/String"
+
+
+class _MessageColumns(Columns):
+    """Columns built from messages; places are named by message."""
+
+    def __init__(self, path: Path, rows: list[dict[str, str]]) -> None:
+        self.path = path
+        self.names = list(dict.fromkeys(name for row in rows for name in row))
+        self.lines = list(range(1, len(rows) + 1))
+        self._text = {name: [row.get(name, "") for row in rows] for name in self.names}
+        self.used: set[str] = set()
+
+    def where(self, row: int, name: str) -> str:
+        return f"{self.path}: message {self.lines[row]} of {record_message.TOPIC}: {name}"
+
+
+def read_mcap(path: str | Path) -> Session:
+    """Read a session from an MCAP file or a rosbag2 folder, whole or truncated.
+
+    What is lost of a damaged recording is named in the session's `notes`. A pose that was begun again counts from its last
+    beginning.
+
+    Raises:
+        SessionError: no session in it; names what is missing.
+        RecordingError: not MCAP at all.
+    """
+    path = Path(path)
+    bag = BagReader(path)
+    rows: list[dict[str, str]] = []
+    notes: list[str] = []
+    for message in bag.messages({record_message.TOPIC}):
+        rows.append(_row_of(bag.decode(message)))
+    notes += [f"lost: {loss}" for loss in bag.losses]
+    missing = [name for name in ("session.yaml", "robot.urdf") if name not in bag.attachments]
+    if missing:
+        raise SessionError(
+            f"{path}: {missing[0]} is not attached{_after(bag)}; this is no session recording"
+            f" (topics: {', '.join(sorted(bag.topics)) or 'none'}); try `irec inspect`"
+        )
+    header = _header(path, bag.attachments["session.yaml"])
+    if header.kind == "loaded":
+        rows = _last_attempts(rows, notes)
+    if not rows:
+        raise SessionError(f"{path}: no message on {record_message.TOPIC}{_after(bag)}: nothing was recorded")
+    robot = Robot(bag.attachments["robot.urdf"].decode(), f"{path}: robot.urdf")
+    session = session_from_columns(header, robot, _MessageColumns(path, rows), path)
+    return replace(session, notes=(*notes, *session.notes))
+
+
+def _after(bag: BagReader) -> str:
+    return f" ({'; '.join(bag.losses)})" if bag.losses else ""
+
+
+def _header(path: Path, content: bytes) -> Header:
+    try:
+        data = yaml.safe_load(content)
+    except yaml.YAMLError as error:
+        raise SessionError(f"{path}: attached session.yaml can't be read: {error}") from error
+    return parse_header(data, f"{path}: session.yaml", path.parent)
+
+
+def _last_attempts(rows: list[dict[str, str]], notes: list[str]) -> list[dict[str, str]]:
+    """Rows of the last beginning of each pose and repeat; loaded rows whose reference was lost are left out."""
+    kept: dict[tuple[str, str], list[dict[str, str]]] = {}
+    again, orphans = set(), 0
+    for row in rows:
+        key = (row["pose"], row["repeat"])
+        if row["load_case"] == "0":
+            if key in kept:
+                again.add(int(row["pose"]))
+            kept.pop(key, None)
+            kept[key] = [row]
+        elif key in kept:
+            kept[key].append(row)
+        else:
+            orphans += 1
+    if again:
+        notes.append(f"poses begun again, the last attempt counts: {', '.join(map(str, sorted(again)))}")
+    if orphans:
+        notes.append(f"{orphans} loaded rows left out: their reference row is lost")
+    return [row for attempt in kept.values() for row in attempt]
+
+
+def _row_of(m: Any) -> dict[str, str]:
+    """The columns of one message; NaN is an empty field."""
+    row = {"pose": str(m.pose), "load_case": str(m.load_case), "repeat": str(m.repeat), "stamp": _text(m.time)}
+    row |= {name: _text(value) for name, value in zip(m.joint_names, m.joint_position, strict=True)}
+    row |= {f"target_{i + 1}": _text(value) for i, value in enumerate(m.joint_target)}
+    for prefix, vector in (
+        ("tcp", m.p_tcp_in_base), ("marker", m.p_marker_in_station), ("force", m.wrench_in_tool.force),
+        ("torque", m.wrench_in_tool.torque),
+    ):  # fmt: skip
+        row |= {f"{prefix}_{a}": _text(getattr(vector, a)) for a in XYZ}
+    if all(row[f"torque_{a}"] == "" for a in XYZ):
+        for a in XYZ:
+            del row[f"torque_{a}"]
+    row["station"] = m.station
+    if m.marker:
+        row["marker"] = m.marker
+    row |= {name: _text(value) for name, value in zip(m.temperature_names, m.temperature, strict=True)}
+    return row
+
+
+def _text(value: float) -> str:
+    return "" if math.isnan(value) else repr(float(value))
+
+
+def write_mcap(session: Session, path: str | Path) -> Path:
+    """Write a session as MCAP; nothing half-written is left if it fails.
+
+    Raises:
+        RecordingError: the file can't be written.
+    """
+    path = Path(path)
+    part = path.with_name(path.name + ".part")
+    part.unlink(missing_ok=True)
+    header: dict[str, Any] = {**session.meta, "format": FORMAT, "name": session.name, "kind": session.kind}
+    header["robot"] = {**header.get("robot", {}), "urdf": "robot.urdf", "serial": session.serial}
+    names, columns = columns_of(session)
+    try:
+        with BagWriter(part, record_message.Catalogue()) as bag:
+            attach_session(bag, header, session.robot.urdf_text)
+            channel = bag.add_topic(record_message.TOPIC, record_message.TYPE)
+            for i in range(len(session)):
+                row = {name: column[i] for name, column in zip(names, columns, strict=True)}
+                ns = round(float(row["stamp"]) * 1e9)
+                bag.write(channel, _message_of(row, session.robot.n_joints, ns), max(ns, 0))
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def attach_session(bag: BagWriter, header: dict[str, Any], urdf_text: str, files: dict[str, str] | None = None) -> None:
+    """Put what belongs to a session beside its messages: session.yaml, robot.urdf, versions, and other files by name."""
+    text = yaml.safe_dump(header, sort_keys=False, allow_unicode=True)
+    bag.attach("session.yaml", text.encode(), "application/yaml")
+    bag.attach("robot.urdf", urdf_text.encode(), "application/xml")
+    for name, content in (files or {}).items():
+        bag.attach(name, content.encode())
+    bag.add_metadata("irec", {"version": __version__, "format": FORMAT})
+
+
+def _message_of(row: dict[str, str], n_joints: int, stamp_ns: int) -> bytes:
+    joints = [f"joint_{i + 1}" for i in range(n_joints)] + [name for name in row if name.startswith("ext_")]
+    targets = [f"target_{i + 1}" for i in range(n_joints)] if "target_1" in row else []
+    temperatures = [name for name in row if name.startswith("temp_")]
+
+    def numbers(*names: str) -> list[float]:
+        return [float(row[n]) if row.get(n, "") else math.nan for n in names]
+
+    def vector(prefix: str) -> list[float]:
+        return numbers(*(f"{prefix}_{a}" for a in XYZ))
+
+    return record_message.encode(
+        stamp_ns=max(stamp_ns, 0), time=float(row["stamp"]), pose=int(row["pose"]), load_case=int(row["load_case"]),
+        repeat=int(row["repeat"]), joint_names=joints, joint_position=numbers(*joints), joint_target=numbers(*targets),
+        p_tcp_in_base=vector("tcp"), p_marker_in_station=vector("marker"), marker=row.get("marker", ""),
+        station=row["station"], wrench_in_tool=[*vector("force"), *vector("torque")],
+        temperature_names=temperatures, temperature=numbers(*temperatures),
+    )  # fmt: skip
+
+
+def completed_poses(path: str | Path) -> set[tuple[int, int]]:
+    """(pose, repeat) that a recording of Procedure 1 marks as complete. RecordingError: not MCAP."""
+    bag = BagReader(path)
+    done: set[tuple[int, int]] = set()
+    for message in bag.messages({EVENT_TOPIC}):
+        event = json.loads(bag.decode(message).data)
+        if event.get("kind") == "complete":
+            done.add((int(event["pose"]), int(event["repeat"])))
+    return done
