@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records topics as they come, serialized, into a rosbag2 folder: no message is decoded on the way to the file."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
+
+from .. import __version__
+from ..errors import RecordingError
+from ..recording import BagWriter, Qos
+
+DISCOVERY_PERIOD = 0.2  # s of the machine's clock, between looks for topics that are not there yet
+QUEUE_DEPTH = 2000  # messages; a recorder that is held up for a second loses nothing
+
+
+class RecorderNode(Node):
+    """Parameters: output (folder), topics, attachments (files), autostart. Services: ~/start, ~/stop."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder")
+        self._output = self._text("output", "folder to write; empty: recording_<date>_<time> in the current folder")
+        self._topics = self._texts("topics", "names of the topics to record")
+        self._attachments = [Path(p) for p in self._texts("attachments", "files to store inside the recording")]
+        if not self._topics:
+            raise RecordingError("parameter 'topics' is empty; name at least one topic to record")
+        for path in self._attachments:
+            if not path.is_file():
+                raise RecordingError(f"parameter 'attachments' names {path}, which is not a file")
+        self._writer: BagWriter | None = None
+        self._subscriptions_by_topic: dict[str, Any] = {}
+        self._runs = 0
+        self.create_service(Trigger, "~/start", self._on_start)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.create_timer(DISCOVERY_PERIOD, self._look_for_topics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self.declare_parameter("autostart", True, ParameterDescriptor(description="record from the start")).value:
+            self.start()
+
+    def start(self) -> Path:
+        """Open a new recording; returns its folder. RecordingError where one is open or the folder exists."""
+        if self._writer is not None:
+            raise RecordingError(f"{self._writer.path.parent} is being recorded; stop it first")
+        name = self._output or datetime.now().astimezone().strftime("recording_%Y%m%d_%H%M%S")
+        folder = Path(name if self._runs == 0 else f"{name}_{self._runs + 1}")
+        if folder.exists():
+            raise RecordingError(f"{folder} exists; recordings are never overwritten: set parameter 'output' to another name")
+        writer = BagWriter(folder / f"{folder.name}_0.mcap")
+        self._runs += 1
+        writer.add_metadata("irec", {"version": __version__, "ros_distro": "jazzy", "topics": "\n".join(self._topics)})
+        for path in self._attachments:
+            writer.attach(path.name, path.read_bytes())
+        self._writer = writer
+        self._look_for_topics()
+        self.get_logger().info(f"recording {len(self._topics)} topics to {folder}")
+        return folder
+
+    def stop(self) -> str:
+        """Close the recording; returns one sentence. RecordingError where none is open or writing failed."""
+        if self._writer is None:
+            raise RecordingError("nothing is being recorded; call start first")
+        writer, self._writer = self._writer, None
+        for subscription in self._subscriptions_by_topic.values():
+            self.destroy_subscription(subscription)
+        self._subscriptions_by_topic.clear()
+        writer.close()
+        writer.write_bag_metadata()
+        return f"{writer.message_count} messages in {writer.path.parent}"
+
+    @property
+    def recording(self) -> bool:
+        return self._writer is not None
+
+    def _look_for_topics(self) -> None:
+        if self._writer is None or len(self._subscriptions_by_topic) == len(self._topics):
+            return
+        known = dict(self.get_topic_names_and_types())
+        for topic in self._topics:
+            name = self.resolve_topic_name(topic)
+            if topic in self._subscriptions_by_topic or not known.get(name):
+                continue
+            offers = [info.qos_profile for info in self.get_publishers_info_by_topic(name)]
+            if not offers:
+                continue
+            self._subscribe(topic, name, known[name][0], offers)
+
+    def _subscribe(self, topic: str, name: str, type_name: str, offers: list[QoSProfile]) -> None:
+        writer = self._writer
+        if writer is None:
+            return
+        reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
+        latched = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+        qos = QoSProfile(
+            depth=QUEUE_DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
+        offered = Qos(
+            "reliable" if reliable else "best_effort", "transient_local" if latched else "volatile", offers[0].depth or 1
+        )
+        channel = writer.add_topic(name, type_name, offered)
+        package, _, kind = type_name.split("/")
+        message_class = getattr(import_module(f"{package}.msg"), kind)
+        callback = partial(self._on_message, writer, channel)
+        self._subscriptions_by_topic[topic] = self.create_subscription(message_class, name, callback, qos, raw=True)
+
+    def _on_message(self, writer: BagWriter, channel: int, data: bytes) -> None:
+        writer.write(channel, data, self.get_clock().now().nanoseconds)
+
+    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(response, lambda: f"recording to {self.start()}")
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(response, self.stop)
+
+    def _answer(self, response: Trigger.Response, action: Any) -> Trigger.Response:
+        try:
+            response.message, response.success = str(action()), True
+        except RecordingError as error:
+            response.message, response.success = str(error), False
+        return response
+
+    def _text(self, name: str, description: str) -> str:
+        return str(self.declare_parameter(name, "", ParameterDescriptor(description=description)).value)
+
+    def _texts(self, name: str, description: str) -> list[str]:
+        descriptor = ParameterDescriptor(description=description)
+        return [str(v) for v in self.declare_parameter(name, [""], descriptor).value or [] if v]
+
+
+def main() -> int:
+    """Record until SIGINT or SIGTERM, then finish the file."""
+    rclpy.init()
+    try:
+        node = RecorderNode()
+        try:
+            _spin(node)
+        finally:
+            if node.recording:
+                print(f"recorder: {node.stop()}", file=sys.stderr)
+    except RecordingError as error:
+        print(f"recorder: {error}", file=sys.stderr)
+        return 2
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def _spin(node: Node) -> None:
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=1.0)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+
+
+if __name__ == "__main__":
+    sys.exit(main())
