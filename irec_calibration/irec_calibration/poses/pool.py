@@ -209,6 +209,10 @@ class Checker:
             result[fails] = names.index(name)
         return result, station, kin
 
+    def touches(self, q: Array, rail: Array) -> BoolArray:
+        """Whether tool or arm come too close to the tooling at q (n, k) with the rail at (n,), shape (n,)."""
+        return self._touches(self.cell.robot.kinematics(q), self.cell.base_in_cell(rail))
+
     def _singular(self, kin: Kinematics) -> BoolArray:
         angular = np.where(kin.is_prismatic[:, None], 0.0, kin.axis)
         J = np.concatenate([kin.jacobian(kin.p_tcp), angular.swapaxes(1, 2)], axis=1)

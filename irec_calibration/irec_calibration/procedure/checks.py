@@ -18,6 +18,7 @@ from .settle import Window
 
 _MAX_STEPS = 50
 _CONVERGED = 1e-10  # m and rad
+_WAY_STEPS = 16  # configurations between HOME and an approach pose that are checked
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,8 @@ def plan_targets(cell: Cell, settings: Settings, q: Array, rail: Array, numbers:
         raise PlanError(f"a pose number is there twice: {sorted(n for n in numbers if numbers.count(n) > 1)[0]}")
     kin = cell.robot.kinematics(q)
     z = kin.R_tool[:, :, 2]
-    failed, _, _ = Checker(cell).check(q, np.ones(len(q), dtype=bool), rail, -z)
+    checker = Checker(cell)
+    failed, _, _ = checker.check(q, np.ones(len(q), dtype=bool), rail, -z)
     reasons = [*REASONS.values(), ""]
     targets = []
     for i, number in enumerate(numbers):
@@ -65,6 +67,8 @@ def plan_targets(cell: Cell, settings: Settings, q: Array, rail: Array, numbers:
         p_reference = p_contact - cell.reference_distance * z[i]
         q_approach = inverse(cell.robot, q[i], p_approach, R)
         problem = reasons[failed[i]] or _moves(cell, settings, q_approach, np.array([p_approach, p_contact]), rail[i])
+        if not problem and q_approach is not None and _way_touches(checker, q_approach, rail[i]):
+            problem = "the way from HOME to the approach pose comes too close to the tooling"
         targets.append(
             Target(
                 number, q[i] if q_approach is None else q_approach, None if cell.rail is None else float(rail[i]),
@@ -87,6 +91,15 @@ def _moves(cell: Cell, settings: Settings, q_approach: Array | None, path_in_bas
     if (path_in_cell < settings.workspace[0]).any() or (path_in_cell > settings.workspace[1]).any():
         return "approach or contact is outside the workspace of the cell file"
     return ""
+
+
+def _way_touches(checker: Checker, q_approach: Array, rail: float) -> bool:
+    """Whether arm or tool come too close to the tooling between HOME and the approach pose, wherever the rail comes from."""
+    cell = checker.cell
+    share = np.linspace(0.0, 1.0, _WAY_STEPS)
+    q = cell.home + share[:, None] * (q_approach - cell.home)
+    starts = [rail] if cell.rail is None else [rail, cell.rail.lower, cell.rail.upper]
+    return any(checker.touches(q, start + share * (rail - start)).any() for start in starts)
 
 
 def inverse(robot: Robot, start: Array, p_in_base: Array, R_in_base: Array) -> Array | None:

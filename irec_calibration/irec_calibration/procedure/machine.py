@@ -326,9 +326,9 @@ class Procedure:
             self._event("stopped" if self.stopped_because else "finished", self.stopped_because)
 
     def enter_move_home(self) -> None:
-        """Line 4."""
+        """Line 4; the rail stays where it is, since the arm may still be close to the tooling."""
         self._pose_since, self._recorded, self.case, self._outcome = self._since, 0, 0, ""
-        self._move(MoveJoint(self.home, self.work[self._index][0].rail, self.settings.home_speed))
+        self._move(MoveJoint(self.home, None, self.settings.home_speed))
 
     def enter_move_to_approach(self) -> None:
         """Line 5."""
