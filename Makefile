@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+PYTHON ?= python3
+export PYTHON
+
+STAMPS := .venv/.stamps
+RUN := . tools/env.sh &&
+PACKAGES := irec_calibration irec_correction irec_sim
+INTERFACES := $(wildcard irec_msgs/msg/*.msg irec_msgs/srv/*.srv irec_msgs/action/*.action) irec_msgs/CMakeLists.txt irec_msgs/package.xml
+SETUPS := $(foreach p,$(PACKAGES),$(wildcard $(p)/setup.py $(p)/setup.cfg $(p)/package.xml $(p)/launch/*.launch.py))
+
+.PHONY: help build demo test lint clean
+
+help: ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | column -t -s '|'
+
+build: $(STAMPS)/workspace ## environment and workspace (done by the others when needed)
+
+$(STAMPS)/environment: tools/setup_env.sh tools/requirements-ros.txt tools/requirements.txt
+	@bash tools/setup_env.sh .venv
+	@mkdir -p $(STAMPS) && touch $@
+
+$(STAMPS)/workspace: $(STAMPS)/environment tools/build.sh $(INTERFACES) $(SETUPS)
+	@bash tools/build.sh
+	@touch $@
+
+demo: build ## calibrate the simulated AFP cell through the nodes and drive a course with correction
+	@$(RUN) python tools/demo.py
+
+test: build ## the whole suite
+	@$(RUN) bash tools/test.sh
+
+lint: build ## ruff and mypy
+	@$(RUN) ruff check . && mypy $(foreach p,$(PACKAGES),$(p)/$(p))
+
+clean: ## remove the environment and everything that was built
+	rm -rf .venv build install log out

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "irec_calibration"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="In-situ elastic calibration of industrial robots: sessions, effects, identification, diagnosis, Procedure 1.",
+    maintainer="irec maintainers",
+    maintainer_email="maintainers@irec.example.org",
+    license="Apache-2.0",
+    python_requires=">=3.11",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["**/*.html", "**/*.css", "**/*.js", "**/*.xml", "**/*.src", "**/*.j2", "py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/launch", glob("launch/*.launch.py")),
+    ],
+    install_requires=['numpy>=1.26,<3', 'scipy>=1.13', 'pin>=3.0', 'PyYAML>=6.0', 'mcap>=1.2', 'mcap-ros2-support>=0.5.5'],
+    extras_require={'report': ['matplotlib>=3.8', 'jinja2>=3.1'], 'ml': ['scikit-learn>=1.5'], 'mesh': ['trimesh>=4.4']},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "irec = irec_calibration.cli:main",
+            "procedure_node = irec_calibration.nodes.procedure_node:main",
+            "calibration_node = irec_calibration.nodes.calibration_node:main",
+            "recorder_node = irec_calibration.nodes.recorder_node:main",
+        ]
+    },
+)

@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Build the workspace with colcon in the local environment, and the ROS-free command .venv/bin/irec.
+set -eo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+venv=$PWD/.venv
+. "$venv/setup.bash"
+echo "irec: building the workspace (about a minute the first time)"
+colcon --log-base log build --symlink-install --event-handlers console_cohesion- --packages-ignore-regex '^$' \
+  --base-paths irec_msgs irec_calibration irec_correction irec_sim \
+  --cmake-args -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF >"$venv/build.log" 2>&1 ||
+  { tail -n 40 "$venv/build.log" >&2; echo "irec: the build failed, whole output in .venv/build.log" >&2; exit 1; }
+"$venv/bin/uv" pip install -q --python "$venv/bin/python" --no-deps --no-build-isolation -e irec_calibration -e irec_sim
+echo "irec: built"

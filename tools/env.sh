@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+# Source this: the built workspace, nothing leaves the machine, one thread per process for linear algebra.
+_irec_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+. "$_irec_root/.venv/setup.bash"
+. "$_irec_root/install/setup.bash"
+export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
+export FASTRTPS_DEFAULT_PROFILES_FILE=$_irec_root/config/fastdds_localhost.xml
+export ROS_LOG_DIR=${ROS_LOG_DIR:-$_irec_root/log/ros}
+export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 PYTHONUNBUFFERED=1
+unset _irec_root
