@@ -288,7 +288,7 @@ def cross_validated_rms(terms: Sequence[Term], observation: Observation, folds: 
         return float("nan")
     scene = observation.scene
     system = linearise(terms, observation)
-    A = observation.of(np.concatenate([b for b in _free_regressors(terms, scene)], axis=2)) * system.scale
+    A = observation.of(np.concatenate([b for b in free_regressors(terms, scene)], axis=2)) * system.scale
     x_0 = np.array([terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)]) / system.scale
     base = observation.y - observation.of(total_displacement(terms, scene))
     residual = np.empty_like(base).reshape(-1)
@@ -298,7 +298,8 @@ def cross_validated_rms(terms: Sequence[Term], observation: Observation, folds: 
     return float(np.sqrt((residual.reshape(-1, 3) ** 2).sum(axis=1).mean()))
 
 
-def _free_regressors(terms: Sequence[Term], scene: object) -> list[Array]:
+def free_regressors(terms: Sequence[Term], scene: object) -> list[Array]:
+    """Regressors of the parameters that `linearise` keeps (those without a grid), list of (n, 3, p)."""
     out = []
     for term, block in zip(terms, regressors(terms, scene), strict=True):  # type: ignore[arg-type]
         out.append(block[:, :, [j for j, p in enumerate(term.effect.parameters(scene)) if not p.grid]])  # type: ignore[arg-type]
