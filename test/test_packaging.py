@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The packages say the truth about themselves, and keep the two rules: science without ROS, simulator without the tested code."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import py_compile
+import re
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("irec_calibration", "irec_correction", "irec_sim")
+ROS_MODULES = re.compile(r"^(rclpy|rosidl\w*|[a-z_]+_msgs|rcl_interfaces|builtin_interfaces|std_srvs|ament_index_python)$")
+# distribution -> import name, where they differ
+PYPI = {"pin": "pinocchio", "PyYAML": "yaml", "mcap-ros2-support": "mcap_ros2", "python-can": "can", "scikit-learn": "sklearn"}
+
+
+def sources(package: str) -> list[Path]:
+    return sorted((ROOT / package / package).rglob("*.py"))
+
+
+def imports(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {n.name.split(".")[0] for n in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found.add(node.module.split(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_ros_is_imported_in_the_node_layer_only(package):
+    outside = [p for p in sources(package) if "nodes" not in p.parts and any(ROS_MODULES.match(m) for m in imports(p))]
+    assert not outside
+
+
+def test_the_simulator_imports_nothing_that_it_is_meant_to_test():
+    assert not [p for p in sources("irec_sim") if imports(p) & {"irec_calibration", "irec_correction"}]
+
+
+def test_the_calibration_imports_neither_correction_nor_simulator():
+    assert not [p for p in sources("irec_calibration") if imports(p) & {"irec_correction", "irec_sim"}]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_what_is_imported_is_declared(package):
+    tree = ElementTree.parse(ROOT / package / "package.xml").getroot()
+    declared = {e.text for e in tree if e.tag.endswith("depend")}
+    text = (ROOT / package / "setup.py").read_text()
+    declared |= {PYPI.get(n, n) for n in re.findall(r"[\"']([A-Za-z][\w-]*)[>\"']", text)}
+    declared |= {d.removeprefix("python3-") for d in declared if d} | {package}
+    used = set().union(*(imports(p) for p in sources(package))) - set(sys.stdlib_module_names) - {"__future__"}
+    assert not used - declared
+
+
+@pytest.mark.parametrize("package", (*PACKAGES, "irec_msgs"))
+def test_versions_and_licence_agree(package):
+    tree = ElementTree.parse(ROOT / package / "package.xml").getroot()
+    assert tree.get("format") == "3"
+    assert tree.findtext("license") == "Apache-2.0"
+    if package in PACKAGES:
+        assert tree.findtext("version") == importlib.import_module(package).__version__
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_executable_resolves_to_a_function(package):
+    text = (ROOT / package / "setup.py").read_text()
+    points = re.findall(r'"[\w-]+ = ([\w.]+):(\w+)"', text)
+    assert points
+    for module, function in points:
+        if ".nodes." in module:
+            path = ROOT / package / Path(*module.split(".")).with_suffix(".py")
+            assert re.search(rf"^def {function}\(", path.read_text(), re.M), module
+        else:
+            assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_launch_files_compile(tmp_path):
+    files = sorted(ROOT.glob("irec_*/launch/*.launch.py"))
+    assert files
+    for path in files:
+        py_compile.compile(str(path), cfile=str(tmp_path / "x.pyc"), doraise=True)
+
+
+def test_every_source_file_states_its_licence():
+    files = [p for package in PACKAGES for p in (ROOT / package).rglob("*.py") if "build" not in p.parts]
+    assert not [p for p in files if "SPDX-License-Identifier: Apache-2.0" not in p.read_text(encoding="utf-8")[:200]]
+
+
+def test_no_file_holds_a_path_of_a_machine():
+    pattern = re.compile(r"/(home|work|root)/\w+")
+    names = [p for d in (*PACKAGES, "irec_msgs", "config", "docs", "tools", "test") for p in (ROOT / d).rglob("*")]
+    texts = [p for p in names if p.suffix in {".py", ".md", ".yaml", ".sh", ".toml", ".xml", ".urdf"} and p != Path(__file__)]
+    assert not [p for p in texts if pattern.search(p.read_text(encoding="utf-8"))]
