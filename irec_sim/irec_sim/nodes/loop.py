@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps the plant in a thread of its own, in real time or faster, and never faster than its followers."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+MIN_SLEEP = 1e-3  # s; being ahead of the clock by less is not worth a sleep
+MAX_BACKLOG = 0.1  # s of the machine's clock; time lost beyond this is given up, not caught up in a burst
+CALL_TIMEOUT = 10.0  # s of the machine's clock that `call` waits for the plant
+
+
+class SimulationLoop:
+    """Runs `step` (which advances simulated time by `period`, s) at `speed` times real time.
+
+    Anything that touches the plant from another thread goes through `call`, so that the plant needs no locks.
+    """
+
+    def __init__(self, step: Callable[[], None], period: float, speed: float, may_go_on: Callable[[], bool]) -> None:
+        self.speed = speed
+        self._step, self._period, self._may_go_on = step, period, may_go_on
+        self._calls: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
+        self.failure: BaseException | None = None
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop after the step under way."""
+        self._stop.set()
+        self._thread.join(CALL_TIMEOUT)
+
+    def call(self, function: Callable[[], Any]) -> Any:
+        """Run a function between two steps and return its result; what it raises is raised here."""
+        if threading.current_thread() is self._thread:
+            return function()
+        future: Future[Any] = Future()
+        self._calls.put((function, future))
+        return future.result(CALL_TIMEOUT)
+
+    def _run(self) -> None:
+        try:
+            due = time.monotonic()
+            while not self._stop.is_set():
+                self._serve_calls()
+                if not self._may_go_on():
+                    time.sleep(MIN_SLEEP)
+                    continue
+                self._step()
+                due += self._period / self.speed
+                ahead = due - time.monotonic()
+                if ahead > MIN_SLEEP:
+                    time.sleep(ahead)
+                elif ahead < -MAX_BACKLOG:
+                    due -= ahead
+        except BaseException as error:  # noqa: BLE001 - the node reports it and ends
+            self.failure = error
+
+    def _serve_calls(self) -> None:
+        while not self._calls.empty():
+            function, future = self._calls.get()
+            try:
+                future.set_result(function())
+            except Exception as error:  # noqa: BLE001 - belongs to the caller
+                future.set_exception(error)

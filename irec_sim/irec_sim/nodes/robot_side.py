@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the robot takes: the Move action, the control mode, the force set point and the correction offset."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import TransformStamped, WrenchStamped
+from irec_msgs.action import Move
+from irec_msgs.msg import RobotState
+from irec_msgs.srv import SetControlMode
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+
+from ..errors import SimError
+from ..kinematics import rotation_of_quaternion, rotation_vector
+from ..motion import joint_move, linear_move
+from ..motion import Move as Motion
+from .loop import SimulationLoop
+from .plant import Plant
+
+FEEDBACK_PERIOD = 0.1  # s of simulated time
+QUATERNION_TOLERANCE = 1e-3  # of the norm
+
+
+@dataclass
+class _Running:
+    motion: Motion
+    since: float
+    handle: ServerGoalHandle
+    ended: Future
+    told: float = 0.0
+
+
+class RobotSide:
+    """Commands from topics, services and actions, carried to the plant between its steps."""
+
+    def __init__(self, node: Node, plant: Plant, loop: SimulationLoop, rail_speed: float) -> None:
+        self._node, self._plant, self._loop, self._rail_speed = node, plant, loop, rail_speed
+        self._running: _Running | None = None
+        depth = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+        self._action = ActionServer(
+            node,
+            Move,
+            "robot/move",
+            execute_callback=self._execute,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+        node.create_service(SetControlMode, "robot/set_control_mode", self._on_mode)
+        node.create_subscription(WrenchStamped, "robot/force_setpoint", self._on_force, depth)
+        node.create_subscription(TransformStamped, "irec/offset", self._on_offset, depth)
+
+    @property
+    def in_motion(self) -> bool:
+        return self._running is not None
+
+    def before_step(self) -> None:
+        """Put the commanded position of the move under way; called in the thread of the simulation."""
+        run = self._running
+        if run is None:
+            return
+        t = self._plant.time + self._plant.period - run.since
+        if run.handle.is_cancel_requested:
+            run.motion.way.stop(t)
+        self._plant.command(*run.motion.at(run.motion.way.distance(t)))
+        fraction = run.motion.fraction(t)
+        if t - run.told >= FEEDBACK_PERIOD:
+            run.told = t
+            run.handle.publish_feedback(Move.Feedback(fraction=float(fraction)))
+        if run.motion.way.done(t):
+            self._running = None
+            run.ended.set_result(fraction)
+
+    async def _execute(self, handle: ServerGoalHandle) -> Move.Result:
+        try:
+            ended = self._start(handle)
+        except SimError as error:
+            handle.abort()
+            return Move.Result(success=False, message=str(error))
+        fraction = await ended
+        if handle.is_cancel_requested:
+            handle.canceled()
+            return Move.Result(success=False, message=f"cancelled after {100 * fraction:.0f} % of the way")
+        handle.succeed()
+        return Move.Result(success=True)
+
+    def _start(self, handle: ServerGoalHandle) -> Future:
+        self._refuse_unless_free()
+        goal: Move.Goal = handle.request
+        start = self._loop.call(lambda: self._plant.commanded)
+        motion = self._joint(goal, start) if goal.kind == Move.Goal.JOINT else self._linear(goal, start)
+        ended: Future = Future()
+
+        def begin() -> None:
+            self._refuse_unless_free()
+            self._running = _Running(motion, self._plant.time, handle, ended)
+
+        self._loop.call(begin)
+        return ended
+
+    def _refuse_unless_free(self) -> None:
+        if self._plant.mode != RobotState.MODE_POSITION:
+            raise SimError("moves are refused in force control; switch to position control first")
+        if self._running is not None:
+            raise SimError("another move is under way; cancel it first")
+
+    def _joint(self, goal: Move.Goal, start: tuple[np.ndarray, float]) -> Motion:
+        if not 0.0 < goal.speed <= 1.0:
+            raise SimError(f"speed of a joint move is {goal.speed}, a share of the velocity limits in (0, 1] is needed")
+        if len(goal.joint_names) != len(goal.joint_position):
+            raise SimError(f"{len(goal.joint_names)} joint names with {len(goal.joint_position)} positions")
+        wanted = dict(zip(goal.joint_names, goal.joint_position, strict=True))
+        names = self._plant.chain.joint_names
+        for name, value in wanted.items():
+            if name not in names and name not in self._plant.rail_names:
+                known = ", ".join((*names, *self._plant.rail_names))
+                raise SimError(f"joint '{name}' is not known; this robot has {known}")
+            if not math.isfinite(value):
+                raise SimError(f"position of {name} is {value}, a finite number is needed")
+        q, rail = start
+        target = np.array([wanted.get(name, q[k]) for k, name in enumerate(names)])
+        goal_rail = float(next((wanted[name] for name in self._plant.rail_names if name in wanted), rail))
+        low, high = self._plant.rail_range
+        if not low <= goal_rail <= high:
+            raise SimError(f"the rail can't go to {goal_rail} m: its range is {low} to {high} m")
+        return joint_move(self._plant.chain, start, (target, goal_rail), goal.speed, self._rail_speed)
+
+    def _linear(self, goal: Move.Goal, start: tuple[np.ndarray, float]) -> Motion:
+        if goal.kind != Move.Goal.LINEAR:
+            raise SimError(f"kind of move {goal.kind} is not known; 0 is JOINT, 1 is LINEAR")
+        if not (goal.speed > 0.0 and math.isfinite(goal.speed)):
+            raise SimError(f"speed of a linear move is {goal.speed}, a positive number in m/s is needed")
+        p, o = goal.pose.position, goal.pose.orientation
+        p_goal, quaternion = np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
+        if not np.isfinite(p_goal).all() or abs(np.linalg.norm(quaternion) - 1.0) > QUATERNION_TOLERANCE:
+            raise SimError(f"pose {p_goal}, {quaternion} is no pose: finite numbers and a unit quaternion are needed")
+        return linear_move(self._plant.chain, *start, p_goal, rotation_of_quaternion(quaternion), goal.speed)
+
+    def _on_mode(self, request: SetControlMode.Request, response: SetControlMode.Response) -> SetControlMode.Response:
+        f = request.force_in_tool
+        force = np.array([f.x, f.y, f.z])
+
+        def switch() -> None:
+            if self._running is not None:
+                raise SimError("a move is under way; cancel it before switching the control mode")
+            if request.mode == SetControlMode.Request.FORCE:
+                self._plant.control_force(_finite(force, "first set point"))
+            elif request.mode == SetControlMode.Request.POSITION:
+                self._plant.control_position()
+            else:
+                raise SimError(f"control mode {request.mode} is not known; 0 is POSITION, 1 is FORCE")
+
+        return self._answer(response, switch)
+
+    def _answer(self, response: Any, action: Callable[[], None]) -> Any:
+        try:
+            self._loop.call(action)
+            response.success = True
+        except SimError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _on_force(self, message: WrenchStamped) -> None:
+        f = message.wrench.force
+        force = np.array([f.x, f.y, f.z])
+        try:
+            self._loop.call(lambda: self._plant.set_force(_finite(force, "force set point")))
+        except SimError as error:
+            self._node.get_logger().warning(f"force set point ignored: {error}", throttle_duration_sec=5.0)
+
+    def _on_offset(self, message: TransformStamped) -> None:
+        t, r = message.transform.translation, message.transform.rotation
+        translation, quaternion = np.array([t.x, t.y, t.z]), np.array([r.x, r.y, r.z, r.w])
+        if not np.isfinite(translation).all() or abs(np.linalg.norm(quaternion) - 1.0) > QUATERNION_TOLERANCE:
+            self._node.get_logger().warning(
+                f"offset ignored: {translation}, {quaternion} is no transform", throttle_duration_sec=5.0
+            )
+            return
+        turn = rotation_vector(rotation_of_quaternion(quaternion))
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self._loop.call(lambda: self._plant.set_offset(translation, turn, stamp))
+
+
+def _finite(force: np.ndarray, what: str) -> np.ndarray:
+    if not np.isfinite(force).all():
+        raise SimError(f"{what} is {force}, finite numbers are needed")
+    return force
