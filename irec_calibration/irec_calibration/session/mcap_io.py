@@ -6,7 +6,6 @@ Both forms have the same columns, so that everything that is checked in a table 
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from dataclasses import replace
@@ -188,13 +187,3 @@ def _message_of(row: dict[str, str], n_joints: int, stamp_ns: int) -> bytes:
         temperature_names=temperatures, temperature=numbers(*temperatures),
     )  # fmt: skip
 
-
-def completed_poses(path: str | Path) -> set[tuple[int, int]]:
-    """(pose, repeat) that a recording of Procedure 1 marks as complete. RecordingError: not MCAP."""
-    bag = BagReader(path)
-    done: set[tuple[int, int]] = set()
-    for message in bag.messages({EVENT_TOPIC}):
-        event = json.loads(bag.decode(message).data)
-        if event.get("kind") == "complete":
-            done.add((int(event["pose"]), int(event["repeat"])))
-    return done

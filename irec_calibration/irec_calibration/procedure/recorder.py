@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recording of one run of Procedure 1: what belongs to the session beside its messages, and going on with a broken run."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..cell import LOAD_CASE_NAMES, Cell, Section
+from ..errors import SessionError
+from ..recording import BagReader, BagWriter, TypeCatalogue
+from ..session import record_message
+from ..session.header import FORMAT
+from ..session.mcap_io import EVENT_TOPIC, EVENT_TYPE, attach_session
+
+
+def session_header(cell: Cell, name: str) -> dict[str, Any]:
+    """Content of session.yaml for a run in a cell."""
+    sensor = Section(cell.path, "", cell.raw).section("force_sensor")
+    header: dict[str, Any] = {
+        "format": FORMAT,
+        "name": name,
+        "kind": "loaded",
+        "robot": {"urdf": "robot.urdf", "serial": cell.serial},
+        "marker_in_tool0": [float(v) for v in cell.marker_in_tool],
+        "stations": [dict(station) for station in cell.raw["stations"]],
+        "noise": dict(cell.noise),
+        "load_cases": {j: [float(v) for v in f] for j, f in enumerate(cell.forces_in_tool, 1)},
+        "load_case_names": dict(enumerate(LOAD_CASE_NAMES, 1)),
+        "sensor_axis_in_tool": [float(v) for v in sensor.vector("axis_in_tool0", 3)],
+    }
+    if cell.payload.mass > 0.0:
+        header["payload"] = {"mass": cell.payload.mass, "com": [float(v) for v in cell.payload.com]}
+    if cell.rail is not None:
+        header["ext_axes"] = {"rail": {"kind": "prismatic", "axis": [float(v) for v in cell.rail.axis]}}
+    return header
+
+
+class SessionRecorder:
+    """Writes one session recording, from the beginning or going on where a broken run ended.
+
+    Args:
+        path: MCAP file to write; its `.part` beside it is used while an earlier recording is copied.
+        parameters: of the node, for the record.
+        resume: copy what `path` holds already, then go on.
+
+    Attributes:
+        done: (pose, repeat) that are complete already.
+        time_offset: s that the new part begins after the session's beginning.
+
+    Raises:
+        SessionError: the file exists and `resume` is not wanted, or does not exist and it is.
+    """
+
+    def __init__(
+        self, path: Path, cell: Cell, parameters: dict[str, Any], catalogue: TypeCatalogue | None = None, resume: bool = False
+    ) -> None:
+        self.path = path
+        if resume and not path.is_file():
+            raise SessionError(f"{path}: there is no recording to go on with; start a new run")
+        if not resume and path.exists():
+            raise SessionError(f"{path}: exists already; name another file, or ask to resume it")
+        self.done: set[tuple[int, int]] = set()
+        self.time_offset = 0.0
+        self.losses: list[str] = []
+        target = path.with_name(path.name + ".part") if resume else path
+        target.unlink(missing_ok=True)
+        self.bag = BagWriter(target, catalogue)
+        versions = {"irec": __version__, "python": platform.python_version(), "numpy": np.__version__, "ros": "jazzy"}
+        files = {
+            "cell.yaml": cell.path.read_text(encoding="utf-8"),
+            "parameters.json": json.dumps(parameters, indent=1, sort_keys=True, default=str),
+            "versions.json": json.dumps(versions, indent=1),
+        }
+        attach_session(self.bag, session_header(cell, path.stem), cell.robot.urdf_text, files)
+        if resume:
+            self._copy(BagReader(path), cell)
+            os.replace(target, path)
+            self.bag.path = path
+        self._rows = self.bag.add_topic(record_message.TOPIC, record_message.TYPE)
+        self._events = self.bag.add_topic(EVENT_TOPIC, EVENT_TYPE)
+
+    def _copy(self, old: BagReader, cell: Cell) -> None:
+        last = 0.0
+        for message in old.messages():
+            channel = self.bag.add_topic(message.topic.name, message.topic.type_name)
+            self.bag.write(channel, message.data, message.log_time, message.publish_time)
+            if message.topic.name == EVENT_TOPIC:
+                event = json.loads(old.decode(message).data)
+                if event["kind"] == "complete":
+                    self.done.add((int(event["pose"]), int(event["repeat"])))
+            elif message.topic.name == record_message.TOPIC:
+                last = max(last, float(old.decode(message).time))
+        self.losses = list(old.losses)
+        before = old.attachments.get("robot.urdf", b"").decode()
+        if before != cell.robot.urdf_text:
+            self.bag.close()
+            self.bag.path.unlink(missing_ok=True)
+            raise SessionError(f"{self.path}: was recorded with another robot description; start a new run")
+        self.time_offset = last + 1.0 if last else 0.0
+
+    def write_row(self, data: bytes, log_time: int) -> None:
+        """One serialized LoadCaseRecord."""
+        self.bag.write(self._rows, data, log_time)
+
+    def write_event(self, data: bytes, log_time: int) -> None:
+        """One serialized std_msgs/String with the event as JSON."""
+        self.bag.write(self._events, data, log_time)
+
+    def add_topic(self, topic: str, type_name: str) -> int:
+        """Register a raw topic."""
+        return self.bag.add_topic(topic, type_name)
+
+    def write_raw(self, channel: int, data: bytes, log_time: int) -> None:
+        """One serialized message of a raw topic."""
+        self.bag.write(channel, data, log_time)
+
+    def close(self) -> None:
+        """Finish the file. RecordingError if not everything could be written."""
+        self.bag.close()
