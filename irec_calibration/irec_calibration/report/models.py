@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures that compare models: the ladder of held-out errors, candidate effects, residual views, deviation along a course."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..typing import Array
+from . import style
+
+
+def ladder(labels: Sequence[str], cv_rms: Sequence[float], cv_se: Sequence[float], floor: float, path: str | Path) -> Path:
+    """Held-out error per model version down to the noise floor; m."""
+    plt = style.pyplot()
+    figure, ax = plt.subplots(figsize=(max(5.5, 1.5 * len(labels) + 2), 4.2))
+    x = np.arange(len(labels))
+    top = 1e6 * np.array(cv_rms)
+    ax.plot(x, top, color=style.GREY, lw=1, zorder=1)
+    ax.errorbar(x, top, yerr=1e6 * np.array(cv_se), fmt="o", ms=8, capsize=4, color=style.BLUE, zorder=2)
+    for i, value in enumerate(top):
+        ax.annotate(f"{value:.1f}", (x[i], value), textcoords="offset points", xytext=(10, 6))
+    ax.axhline(1e6 * floor, color=style.GREY, ls="--", label=f"{style.NOISE_LABEL} {1e6 * floor:.1f} um")
+    ax.set_xticks(x, [label.replace(" + ", "\n+ ") for label in labels])
+    ax.set_xlim(-0.5, len(labels) - 0.3)
+    ax.set_ylim(0, 1.15 * max(top.max(), 1e6 * floor))
+    ax.set_ylabel("held-out error [um rms]")
+    ax.set_title("Error on poses that the model was not fitted to")
+    ax.legend(loc="upper right")
+    figure.tight_layout()
+    return style.save(figure, path)
+
+
+def candidates(names: Sequence[str], cv_rms: Sequence[float], cv_se: Sequence[float], base: float, floor: float, named: Sequence[str],
+               path: str | Path) -> Path:  # fmt: skip
+    """Held-out error with each candidate effect added, best first; m. `named` are those of the verdict."""
+    plt = style.pyplot()
+    names, cv_rms, cv_se = names[:14], cv_rms[:14], cv_se[:14]
+    figure, ax = plt.subplots(figsize=(7.5, 0.36 * len(names) + 1.6))
+    y = np.arange(len(names))[::-1]
+    colours = [style.GREEN if n in named else style.BLUE for n in names]
+    ax.barh(y, 1e6 * np.array(cv_rms), xerr=1e6 * np.array(cv_se), color=colours, height=0.65, ecolor="#444", capsize=2)
+    ax.axvline(1e6 * base, color=style.RED, lw=1.5, label=f"model as it is, {1e6 * base:.1f} um")
+    ax.axvline(1e6 * floor, color=style.GREY, ls="--", label=f"{style.NOISE_LABEL}, {1e6 * floor:.1f} um")
+    ax.set_yticks(y, names)
+    ax.set_xlabel("held-out error with this effect added [um rms]")
+    ax.set_title("Candidate effects")
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.08), ncols=2)
+    ax.grid(axis="y", alpha=0)
+    figure.tight_layout()
+    return style.save(figure, path)
+
+
+def views(sentences: Sequence[str], share: Sequence[float], path: str | Path) -> Path:
+    """Ranked views of the residual: share of the residual's excess that each explains (0..1)."""
+    plt = style.pyplot()
+    figure, ax = plt.subplots(figsize=(8.5, 0.4 * len(sentences) + 1.4))
+    y = np.arange(len(sentences))[::-1]
+    ax.barh(y, 100 * np.array(share), color=style.ORANGE, height=0.6)
+    ax.set_yticks(y, sentences)
+    ax.set_xlabel("share of the residual's square [%]")
+    ax.set_title("Where the model fails")
+    ax.grid(axis="y", alpha=0)
+    figure.tight_layout()
+    return style.save(figure, path)
+
+
+def course(s: Mapping[str, Array], deviation: Mapping[str, Array], tolerance: float | None, path: str | Path, *,
+           title: str = "Deviation along the course") -> Path:  # fmt: skip
+    """Deviation of the TCP along a loaded course, one line per run.
+
+    Args:
+        s: run -> arc length, (n,), m.
+        deviation: run -> deviation, (n,), m.
+        tolerance: of the process, m; a line where given.
+    """
+    plt = style.pyplot()
+    figure, ax = plt.subplots(figsize=(9, 4))
+    colours = (style.RED, style.ORANGE, style.GREEN, style.BLUE)
+    for (run, along), colour in zip(s.items(), colours, strict=False):
+        d = 1e3 * np.asarray(deviation[run])
+        ax.plot(along, d, lw=1.3, color=colour, label=f"{run}: mean {d.mean():.3f}, max {d.max():.3f} mm")
+    if tolerance is not None:
+        ax.axhline(1e3 * tolerance, color=style.GREY, ls="--", label=f"tolerance {1e3 * tolerance:.2f} mm")
+    ax.set_xlabel("arc length [m]")
+    ax.set_ylabel("deviation [mm]")
+    ax.set_ylim(bottom=0)
+    ax.set_title(title)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
+    return style.save(figure, path)

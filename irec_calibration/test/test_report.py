@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures and pages: files that can be opened, complete in themselves, with text escaped."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from synthetic import session
+
+from irec_calibration.identify import identify
+from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, blank_model
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("jinja2")
+from irec_calibration.report import models, samples  # noqa: E402
+from irec_calibration.report.page import Figure, Page, Section, Table, write_page  # noqa: E402
+
+PNG = b"\x89PNG"
+
+
+def test_a_page_holds_its_figures_and_names_nothing_outside(tmp_path):
+    figure = models.ladder(["6 DOF", "18 DOF"], [9e-5, 3e-5], [5e-6, 2e-6], 2.5e-5, tmp_path / "ladder.png")
+    page = Page("Title <b>", "sub", "the tool bends & twists", "missing_effect",
+                [Section("Ladder", ["text"], [Figure(figure, "caption")], [Table(["a", "b"], [["x<y", 1.23456], [None, 2]])])])  # fmt: skip
+    text = write_page(page, tmp_path / "report.html").read_text()
+    assert "data:image/png;base64," in text and "Title &lt;b&gt;" in text and "x&lt;y" in text and "1.235" in text
+    assert "http" not in text.replace("http-equiv", "")
+
+
+def test_each_figure_of_samples_is_written(tmp_path):
+    data = session(8)
+    six, eighteen = (identify(data, blank_model(e)) for e in (SIX_DOF, EIGHTEEN_DOF))
+    o = six.observation
+    written = [
+        samples.norms_per_sample(o.of(o.scene.p_tcp), six.residual, o.whiten.floor, tmp_path / "a.png", poses=o.pose),
+        samples.predicted_against_measured(o.y, o.y - six.residual, tmp_path / "b.png"),
+        samples.residual_maps(o, [six.residual, eighteen.residual], ["6 DOF", "18 DOF"], tmp_path / "c.png"),
+        samples.residual_against(o.scene.tau[o.rows, 1], six.residual, "torque of axis 2 [N m]", o.whiten.floor, tmp_path / "d.png"),
+        models.candidates(["a", "b"], [3e-5, 5e-5], [2e-6, 3e-6], 6e-5, 2e-5, ["a"], tmp_path / "e.png"),
+        models.views(["load case N", "torque of axis 3"], [0.4, 0.2], tmp_path / "f.png"),
+        models.course({"off": np.arange(9.0)}, {"off": np.ones(9) * 5e-4}, 3e-4, tmp_path / "g.png"),
+    ]
+    assert all(path.read_bytes().startswith(PNG) for path in written)
