@@ -74,7 +74,7 @@ def residual_maps(observation: Observation, residuals: Sequence[Array], titles: 
     xy = centred @ across.T
     largest = max(float(np.linalg.norm(r, axis=1).max()) for r in residuals)
     width = np.ptp(xy[:, 0])
-    figure, axes = plt.subplots(1, len(residuals), figsize=(5.2 * len(residuals), 4.6), squeeze=False, sharex=True, sharey=True)
+    figure, axes = plt.subplots(1, len(residuals), figsize=(5.2 * len(residuals), 4.6), squeeze=False)
     for ax, r, title in zip(axes[0], residuals, titles, strict=True):
         size = 1e6 * np.linalg.norm(r, axis=1)
         arrows = r @ across.T * (0.12 * width / largest)
