@@ -29,6 +29,7 @@ def norms_per_sample(commanded: Array, residual: Array, floor: float, path: str 
     top.bar(x, 1e3 * np.linalg.norm(residual, axis=1), color=style.BLUE, width=1.0, label="residual of the model")
     top.set_ylabel("norm [mm]")
     top.set_title("Commanded displacement and residual of each sample")
+    top.set_ylim(0, 1.2 * 1e3 * np.linalg.norm(commanded, axis=1).max())
     top.legend(loc="upper right", ncols=2)
     bottom.bar(x, 1e6 * np.linalg.norm(residual, axis=1), color=style.BLUE, width=1.0)
     bottom.axhline(1e6 * floor, color=style.GREY, ls="--", label=style.NOISE_LABEL)
@@ -83,7 +84,7 @@ def residual_maps(observation: Observation, residuals: Sequence[Array], titles: 
                   clim=(0, 1e6 * largest))  # fmt: skip
         dots = ax.scatter(*xy[order].T, c=size[order], s=14, cmap="viridis", vmin=0, vmax=1e6 * largest)
         ax.set_title(f"{title}: {1e6 * np.sqrt((r**2).sum(axis=1).mean()):.1f} um rms")
-        ax.set_aspect("equal", adjustable="datalim")
+        ax.set_aspect("equal", adjustable="box")
         ax.set_xlabel("along the surface [m]")
     axes[0][0].set_ylabel("across [m]")
     figure.colorbar(dots, ax=axes[0].tolist(), label="residual [um]", shrink=0.85)
