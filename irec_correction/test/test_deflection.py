@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled deflection against the model that calibration evaluates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.formula import FormulaEffect
+from irec_calibration.model import Estimate, Model, Term
+from irec_calibration.robot import Robot
+from irec_correction.deflection import COMPILED, Deflection
+from irec_correction.errors import ActivationError
+from irec_correction.user_terms import _two_rows
+
+ROBOT = Robot.from_urdf(Path(__file__).parents[2] / "config/robots/kr120_r2700_extra_ha.urdf")
+angles = st.tuples(*(st.floats(lo, hi) for lo, hi in ((-1, 1), (-2, -0.8), (0.6, 2), (-2, 2), (-1.5, 1.5), (-2, 2))))
+forces = st.tuples(*(st.floats(-1500, 1500) for _ in range(3)))
+torques = st.tuples(*(st.floats(-100, 100) for _ in range(3)))
+HISTORY = {"joint_backlash", "joint_hysteresis", "creep"}
+ONLY_IN_PRODUCTION = {"sensor_gain", "sensor_alignment", "tool_weight"}
+
+
+def model_of(*effects: str, seed: int = 1) -> Model:
+    rng = np.random.default_rng(seed)
+    scene = replace(_two_rows(ROBOT), ext={"rail": np.array([0.7, 0.7])})
+    terms = []
+    for name in effects:
+        effect = find_effect(name)
+        values = {
+            p.name: Estimate(p.start if p.grid else float(np.clip(p.scale * rng.uniform(0.3, 1.0), p.lower, p.upper)))
+            for p in effect.parameters(scene)
+        }
+        terms.append(Term(effect, values))
+    return Model(tuple(terms))
+
+
+def by_calibration(model: Model, q: np.ndarray, force: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    rows = _two_rows(ROBOT)
+    both = np.stack([q, q])
+    kin = ROBOT.kinematics(both)
+    scene = replace(
+        rows, q=both, kin=kin, p_tcp=kin.p_tcp, p_observed=kin.p_tcp, force_in_tool=np.stack([0 * force, force]),
+        torque_in_tool=np.stack([0 * torque, torque]), tau_gravity=ROBOT.gravity_torque(both), ext={"rail": np.array([0.7, 0.7])},
+        _cache={},
+    )  # fmt: skip
+    return model.predict(scene)[1]
+
+
+@pytest.mark.parametrize("effects", [
+    ("joint_torsion",), ("joint_torsion", "link_bending"), ("tool_compliance",), ("base_compliance",), ("rail_compliance",),
+    ("joint_coupling",), ("counterbalance",), ("joint_stiffening",), tuple(sorted(COMPILED - HISTORY - ONLY_IN_PRODUCTION)),
+])  # fmt: skip
+@settings(max_examples=15, deadline=None)
+@given(q=angles, force=forces, torque=torques)
+def test_compiled_deflection_is_that_of_the_model(effects, q, force, torque):
+    model = model_of(*effects)
+    q, force, torque = map(np.array, (q, force, torque))
+    translation, _ = Deflection(model, ROBOT)(q, force, torque, 0.004, rail_position=0.7)
+    np.testing.assert_allclose(translation, by_calibration(model, q, force, torque), rtol=1e-9, atol=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(q=angles, force=forces, torque=torques)
+def test_rotation_turns_a_point_of_the_tool_as_the_translation_of_that_point_says(q, force, torque):
+    model = model_of("joint_torsion", "link_bending", "base_compliance")
+    q, force, torque = map(np.array, (q, force, torque))
+    translation, rotation = Deflection(model, ROBOT)(q, force, torque, 0.004)
+    from irec_calibration.model import total_displacement
+
+    both = np.stack([q, q])
+    kin = ROBOT.kinematics(both)
+    arm = np.array([0.1, -0.2, 0.3])
+    scene = replace(
+        _two_rows(ROBOT), q=both, kin=kin, p_tcp=kin.p_tcp, p_observed=kin.p_tcp + arm, force_in_tool=np.stack([0 * force, force]),
+        torque_in_tool=np.stack([0 * torque, torque]), _cache={},
+    )  # fmt: skip
+    np.testing.assert_allclose(translation + np.cross(rotation, arm), total_displacement(model.terms, scene)[1], atol=1e-12)
+
+
+def test_instance_gives_the_same_answer_whatever_pose_came_before():
+    model = model_of("joint_torsion", "link_bending")
+    q, force = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3]), np.array([100.0, -50.0, -900.0])
+    used = Deflection(model, ROBOT)
+    used(q + 0.4, 2 * force, np.ones(3), 0.004)
+    np.testing.assert_array_equal(used(q, force, np.zeros(3), 0.004)[0], Deflection(model, ROBOT)(q, force, np.zeros(3), 0.004)[0])
+
+
+def axis_torque(q: np.ndarray, force: np.ndarray) -> np.ndarray:
+    kin = ROBOT.kinematics(q[None])
+    return kin.jacobian(kin.p_tcp)[0].T @ kin.R_tool[0] @ force
+
+
+def backlash_case() -> tuple[Deflection, np.ndarray, np.ndarray, float]:
+    model = Model((Term(find_effect("joint_backlash"), {"b_1": Estimate(2e-4)}),))
+    q = np.array([0.3, -1.4, 1.5, 0.2, 0.6, 0.1])
+    direction = ROBOT.kinematics(q[None]).R_tool[0].T @ np.array([0.0, 1.0, 0.0])
+    return Deflection(model, ROBOT), q, direction, abs(axis_torque(q, direction)[0])
+
+
+def test_backlash_moves_the_joint_by_its_play_when_the_torque_changes_sign():
+    deflection, q, direction, lever = backlash_case()
+    kin = ROBOT.kinematics(q[None])
+    one = deflection(q, +300 * direction, np.zeros(3), 0.004)[0]
+    other = deflection(q, -300 * direction, np.zeros(3), 0.004)[0]
+    np.testing.assert_allclose(np.linalg.norm(one - other), 2e-4 * np.linalg.norm(kin.jacobian(kin.p_tcp)[0][:, 0]), rtol=1e-9)
+
+
+def test_noise_about_zero_torque_does_not_switch_the_side_of_the_backlash():
+    deflection, q, direction, lever = backlash_case()
+    deflection(q, 300 * direction, np.zeros(3), 0.004)
+    rng = np.random.default_rng(3)
+    answers = [deflection(q, rng.normal(0, 2.0) * direction, np.zeros(3), 0.004)[0] for _ in range(500)]
+    assert np.ptp(np.array(answers), axis=0).max() == 0.0
+
+
+def test_hysteresis_keeps_deflection_after_the_load_is_gone_until_it_is_reset():
+    model = Model((Term(find_effect("joint_hysteresis"), {"h_1": Estimate(1e-7), "r": Estimate(0.01)}),))
+    deflection = Deflection(model, ROBOT)
+    q, direction = backlash_case()[1:3]
+    deflection(q, 900 * direction, np.zeros(3), 0.004)
+    left = np.linalg.norm(deflection(q, np.zeros(3), np.zeros(3), 0.004)[0])
+    assert left > 1e-6
+    deflection.reset()
+    assert np.linalg.norm(deflection(q, np.zeros(3), np.zeros(3), 0.004)[0]) == 0.0
+
+
+def test_creep_approaches_its_share_of_the_elastic_deflection():
+    terms = model_of("joint_torsion").terms
+    creep = Term(find_effect("creep"), {"share": Estimate(0.2), "T": Estimate(2.0), "memory": Estimate(1.0)})
+    q, force = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3]), np.array([100.0, -50.0, -900.0])
+    elastic = Deflection(Model(terms), ROBOT)(q, force, np.zeros(3), 0.1)[0]
+    with_creep = Deflection(Model((*terms, creep)), ROBOT)
+    for _ in range(20):
+        u = with_creep(q, force, np.zeros(3), 0.1)[0]
+    np.testing.assert_allclose(u, elastic * (1 + 0.2 * (1 - np.exp(-1.0))), rtol=1e-9)
+
+
+def test_deflection_is_evaluated_at_the_force_that_acts_not_at_the_one_that_is_read():
+    terms = model_of("joint_torsion", "link_bending").terms
+    turned = Term(find_effect("sensor_alignment"), {"w_z": Estimate(np.pi / 2)})
+    q = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3])
+    read, acts = np.array([200.0, 0.0, -900.0]), np.array([0.0, 200.0, -900.0])
+    np.testing.assert_allclose(
+        Deflection(Model((*terms, turned)), ROBOT)(q, read, np.zeros(3), 0.004)[0],
+        Deflection(Model(terms), ROBOT)(q, acts, np.zeros(3), 0.004)[0],
+        atol=1e-12,
+    )
+
+
+def test_effects_that_do_not_depend_on_the_force_are_left_out_with_a_reason():
+    model = model_of("joint_torsion", "encoder_harmonics", "tracker_scale")
+    assert set(Deflection(model, ROBOT).left_out) == {"encoder_harmonics", "tracker_scale"}
+
+
+def test_an_effect_of_the_user_acts_through_its_own_displacement():
+    formula = FormulaEffect("mine", "axis 3: c * tau * abs(tau)")
+    terms = model_of("joint_torsion").terms
+    mine = Term(formula, {p.name: Estimate(3e-11) for p in formula.parameters(_two_rows(ROBOT))})
+    model = Model((*terms, mine))
+    q, force = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3]), np.array([100.0, -50.0, -900.0])
+    np.testing.assert_allclose(
+        Deflection(model, ROBOT)(q, force, np.zeros(3), 0.004)[0], by_calibration(model, q, force, np.zeros(3)), atol=1e-12
+    )
+
+
+def test_an_effect_of_the_user_that_needs_time_is_refused():
+    class Late(type(find_effect("joint_torsion"))):
+        id = "late"
+        needs = ("time",)
+
+    with pytest.raises(ActivationError, match="late.*time"):
+        Deflection(Model((Term(Late()),)), ROBOT)
