@@ -59,6 +59,16 @@ class Whitening:
             out[rows] = np.tensordot(L_inverse, x[rows], axes=1)
         return out
 
+    def undo(self, z: Array) -> Array:
+        """Back from standard deviations to m: the inverse of whitening."""
+        blocks: list[tuple[IntArray, Array]] = self._blocks  # type: ignore[attr-defined]
+        if not blocks:
+            return z * self.sigma.reshape(-1, *[1] * (z.ndim - 1))
+        out = np.empty_like(z)
+        for rows, L_inverse in blocks:
+            out[rows] = np.linalg.solve(L_inverse, z[rows].reshape(len(rows), -1)).reshape(z[rows].shape)
+        return out
+
     @property
     def floor(self) -> float:
         """Root mean square over samples of the norm of the noise of a row, m: sqrt(mean |r|^2) of a perfect model."""
