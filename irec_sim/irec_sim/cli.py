@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The `irec-sim` command: synthetic sessions and blind matrices from simulated cells."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from .cellfile import read_cell
+from .errors import SimError
+from .session import generate, scale_to_share, write_deflections, write_session
+from .truth import EFFECTS, Truth, make_truth, read_truth
+
+
+def _truth(args: argparse.Namespace, cell_name: str) -> Truth:
+    if args.truth is None:
+        return make_truth(cell_name, args.effect or [], args.truth_seed)
+    if args.effect:
+        raise SimError("give --truth or --effect, not both")
+    return read_truth(args.truth, cell_name, args.truth_seed)
+
+
+def _session(args: argparse.Namespace) -> int:
+    cell = read_cell(args.cell)
+    truth = _truth(args, cell.name)
+    if args.strength is not None:
+        truth = scale_to_share(cell, truth, args.strength, args.truth_seed)
+    made = generate(cell, truth, args.poses, args.seed, args.repeats)
+    folder = write_session(made, args.output, args.name or Path(args.output).name)
+    if args.truth_out is not None:
+        out = Path(args.truth_out)
+        if out.resolve() == folder.resolve() or folder.resolve() in out.resolve().parents:
+            raise SimError(f"--truth-out {out}: must not be inside the session folder")
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "truth.yaml").write_text(yaml.safe_dump(truth.as_data(), sort_keys=False), encoding="utf-8")
+        write_deflections(made, out / "truth.csv")
+    size = np.linalg.norm(made.rows[0].deflection, axis=2)
+    print(f"{folder}: {args.poses} poses x {len(cell.load_cases)} load cases x {args.repeats}")
+    print(f"deflection of the TCP: mean {1e3 * size.mean():.3f} mm, max {1e3 * size.max():.3f} mm")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="irec-sim", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    session = commands.add_parser("session", help="write one synthetic calibration session in the table form")
+    session.add_argument("--cell", default="afp", help="afp, milling or a cell file (default: afp)")
+    session.add_argument("--truth", help="truth file; without one the default truth of the cell")
+    session.add_argument("--effect", action="append", metavar="ID", help=f"hidden effect with drawn parameters: {', '.join(EFFECTS)}")
+    session.add_argument("--truth-seed", type=int, default=0, help="draws what the truth leaves open (default: 0)")
+    session.add_argument("--strength", type=float, help="scale each hidden effect to this share of the RMS deflection, e.g. 0.08")
+    session.add_argument("--poses", type=int, default=31)
+    session.add_argument("--repeats", type=int, default=1)
+    session.add_argument("--seed", type=int, default=0, help="poses, times, noise")
+    session.add_argument("--name", help="name in session.yaml")
+    session.add_argument("-o", "--output", required=True, help="new folder for the session")
+    session.add_argument("--truth-out", help="folder, outside the session, for the truth and the true deflection of each row")
+    session.set_defaults(run=_session)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point; exit code 0 done, 2 bad input."""
+    args = _parser().parse_args(argv)
+    try:
+        return int(args.run(args))
+    except SimError as error:
+        print(f"irec-sim {args.command}: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A whole run of Procedure 1 at once, without time stepping and without noise: what the plant does and what is seen.
+
+Poses are rows of a batch; the load cases of a pose follow each other in time and carry the plant's memory along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .cellfile import CellFile
+from .kinematics import Array, forward
+from .plant import Conditions, Plant, State
+from .poses import Poses
+from .sensing import drift_at, force_reading, motor_angles, tracker_reading
+from .truth_catalogue import Physics
+
+DISC_NORMAL = 4.0e6  # N/m, of the urethane disc
+DISC_TANGENTIAL = 1.5e6
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When and how each row is loaded; N poses, M + 1 rows each (row 0 is the reference).
+
+    Attributes:
+        stamp: s, (N, M + 1); force: process force in tool0, environment on robot, N, (N, M + 1, 3), zero in row 0.
+        gap: distance of the reference from contact, m, (N,).
+        ambient: degC, (N, M + 1); gears: degC, (N, M + 1, joints).
+        station: index of the station that sees each pose, (N,).
+    """
+
+    poses: Poses
+    stamp: Array
+    force: Array
+    gap: Array
+    ambient: Array
+    gears: Array
+    station: Array
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What a run looks like without noise; all (N, M + 1, ...).
+
+    Attributes:
+        q: reported joint angles, rad; p_controller: the controller's TCP in base_link, m.
+        p_marker: marker in the frame of the station, m; distance: from it, m.
+        force_reading: in tool0, N; wrench_force: true force in tool0, N.
+        p_tcp: physical TCP in base_link, m.
+        station: index of the station of each pose, (N,).
+    """
+
+    q: Array
+    p_controller: Array
+    p_marker: Array
+    distance: Array
+    force_reading: Array
+    wrench_force: Array
+    p_tcp: Array
+    station: Array
+
+    @property
+    def deflection(self) -> Array:
+        """How much more the physical TCP has moved since the reference than the controller's, (N, M, 3), m in base_link."""
+        return (self.p_tcp - self.p_tcp[:, :1] - self.p_controller + self.p_controller[:, :1])[:, 1:]
+
+    def apparent_deflection(self, cell: CellFile) -> Array:
+        """Marker displacement minus the controller's, per loaded row, (N, M, 3), m; what a session shows of the arm."""
+        lever = np.stack([forward(cell.chain, self.q[:, j]).R_tool @ cell.marker_in_tool0 for j in range(self.q.shape[1])], 1)
+        seen = self.p_marker - self.p_marker[:, :1]
+        commanded = self.p_controller + lever
+        R = np.stack([cell.stations[k][2] for k in self.station])
+        in_base = (R[:, None] @ seen[..., None])[..., 0]
+        return (in_base - commanded + commanded[:, :1])[:, 1:]
+
+
+def simulate(cell: CellFile, physics: Physics, schedule: Schedule) -> Rows:
+    """Run Procedure 1 in the plant."""
+    rows = _run(cell, physics, schedule, None)
+    if np.any(physics.sensing.settle):
+        previous_last = np.concatenate([rows.q[:1, 0], rows.q[:-1, -1]])
+        rows = _run(cell, physics, schedule, previous_last)
+    return rows
+
+
+def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array | None) -> Rows:
+    plant, sensing, chain = Plant(cell.chain, physics.plant), physics.sensing, cell.chain
+    N, rows = schedule.stamp.shape
+    poses = schedule.poses
+    R_command = poses.R
+    axis = cell.rail[0] if cell.rail is not None else np.zeros(3)
+    base_in_cell = poses.rail[:, None] * axis
+    p_reference = poses.p - poses.R[:, :, 2] * schedule.gap[:, None]
+    q = poses.q
+    for _ in range(4):
+        pose = forward(chain, q)
+        q = q + _solve(pose.jacobian(), p_reference - pose.p_tcp)
+    collected: dict[str, list[Array]] = {k: [] for k in ("q", "controller", "marker", "distance", "reading", "tcp")}
+    state: State | None = None
+    p_contact = np.zeros((N, 3))
+    for j in range(rows):
+        idle = Conditions(np.zeros((N, 3)), poses.rail, schedule.gears[:, j], np.zeros(N, dtype=bool))
+        if state is None:
+            step = np.zeros_like(q) if q_before is None else q - q_before
+            motor = motor_angles(sensing, q, step)
+            state = plant.relaxed(motor, idle)
+            state, frames = plant.equilibrium(motor, idle, state)
+            p_contact = frames.p_tcp + frames.R_tool[:, :, 2] * schedule.gap[:, None]
+            q_last = q
+        else:
+            force = schedule.force[:, j]
+            give = np.stack([-force[:, 0] / DISC_TANGENTIAL, -force[:, 1] / DISC_TANGENTIAL, -force[:, 2] / DISC_NORMAL], axis=1)
+            goal = p_contact + (R_command @ give[:, :, None])[..., 0]
+            dt = schedule.stamp[:, j] - schedule.stamp[:, j - 1]
+            begin = state
+            for _ in range(4):
+                motor = motor_angles(sensing, q, q - q_last)
+                in_base = (frames.R_tool @ force[:, :, None])[..., 0]
+                loaded = replace(idle, force=in_base, process_on=np.ones(N, dtype=bool))
+                state, frames = plant.equilibrium(motor, loaded, replace(begin, e=state.e), dt)
+                q = q + _solve(forward(chain, q).jacobian(), goal - frames.p_tcp)
+            motor = motor_angles(sensing, q, q - q_last)
+            loaded = replace(loaded, force=(frames.R_tool @ force[:, :, None])[..., 0])
+            state, frames = plant.equilibrium(motor, loaded, replace(begin, e=state.e), dt)
+            q_last = q
+        controller = forward(chain, q)
+        p_tcp = frames.p_tcp + drift_at(sensing, schedule.stamp[:, j], schedule.ambient[:, j])
+        p_marker = p_tcp + (frames.R_tool @ (cell.marker_in_tool0 + sensing.marker_error)[:, None])[..., 0]
+        measured, distance = np.empty((N, 3)), np.empty(N)
+        for s, (_, p_station, R_station) in enumerate(cell.stations):
+            by = schedule.station == s
+            in_cell = p_marker[by] + base_in_cell[by]
+            measured[by] = tracker_reading(sensing, in_cell, s, p_station, R_station, schedule.stamp[by, j], schedule.ambient[by, j])
+            distance[by] = np.linalg.norm(in_cell - p_station, axis=1)
+        collected["q"].append(q)
+        collected["controller"].append(controller.p_tcp)
+        collected["marker"].append(measured)
+        collected["distance"].append(distance)
+        collected["reading"].append(force_reading(sensing, cell.sensor_axis, schedule.force[:, j], frames.R_tool))
+        collected["tcp"].append(p_tcp)
+    stacked = {k: np.stack(v, axis=1) for k, v in collected.items()}
+    return Rows(
+        stacked["q"], stacked["controller"], stacked["marker"], stacked["distance"], stacked["reading"], schedule.force,
+        stacked["tcp"], schedule.station,
+    )  # fmt: skip
+
+
+def _solve(jacobian: Array, dp: Array) -> Array:
+    """Joint step that moves the TCP by dp (n, 3) and keeps its orientation."""
+    twist = np.concatenate([dp, np.zeros_like(dp)], axis=1)
+    return np.linalg.solve(jacobian, twist[:, :, None])[..., 0]
+
+

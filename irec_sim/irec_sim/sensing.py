@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How instruments and controller see the cell: systematic errors and noise of sensor, tracker, encoders.
+
+Errors are deterministic functions of the true state; noise is drawn by the caller. Shared by the direct session
+generator and the time-stepped cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .kinematics import Array, rotation, rotation_of_vector
+
+
+AMBIENT = 22.0  # degC, at which drift and refraction are zero
+
+
+def _zeros(*shape: int) -> Array:
+    return np.zeros(shape)
+
+
+@dataclass(frozen=True)
+class SensingParameters:
+    """Systematic errors; neutral by default.
+
+    Attributes:
+        sensor_matrix: crosstalk E of the force sensor, reading (I + E) f in tool0, (3, 3).
+        sensor_turn: rad by which the sensor is mounted rotated about its axis.
+        weight_error: mass that the weight removal forgets, kg.
+        tracker_scale: relative.
+        station_turn: rotation vector of the true against the stated station frame, (stations, 3), rad.
+        station_shift: displacement of one station from `shift_time` on, in base_link, (3,), m; shift_station: index.
+        drift: of the warming arm against the tracker, in base_link, (3,): m/s (drift_kind linear), m in the end
+            (warm_up), m/K (ambient).
+        marker_error: true minus stated marker position in tool0, (3,), m.
+        encoder_sin, encoder_cos: true minus reported joint angle, per sin(h q), cos(h q), h = 1, 2; (2, n), rad.
+        settle: share of the step from the previous row that the arm is further than reported, (n,).
+        refraction: apparent displacement across the line of sight per kelvin of ambient change and m^2, 1/(m K).
+    """
+
+    sensor_matrix: Array = field(default_factory=lambda: _zeros(3, 3))
+    sensor_turn: float = 0.0
+    weight_error: float = 0.0
+    tracker_scale: float = 0.0
+    station_turn: Array = field(default_factory=lambda: _zeros(1, 3))
+    station_shift: Array = field(default_factory=lambda: _zeros(3))
+    shift_time: float = np.inf
+    shift_station: int = 0
+    drift: Array = field(default_factory=lambda: _zeros(3))
+    drift_kind: str = "linear"
+    drift_time: float = 900.0
+    marker_error: Array = field(default_factory=lambda: _zeros(3))
+    encoder_sin: Array = field(default_factory=lambda: _zeros(2, 6))
+    encoder_cos: Array = field(default_factory=lambda: _zeros(2, 6))
+    settle: Array = field(default_factory=lambda: _zeros(6))
+    refraction: float = 0.0
+
+
+def force_reading(par: SensingParameters, sensor_axis: Array, force_in_tool: Array, R_tool_in_base: Array) -> Array:
+    """What the sensor reads in tool0 after weight removal, without noise, for forces (n, 3) in N."""
+    turned = force_in_tool @ rotation(sensor_axis, par.sensor_turn)  # the sensor's frame is turned, so f turns back
+    weight = R_tool_in_base.swapaxes(1, 2) @ np.array([0.0, 0.0, -9.81 * par.weight_error])
+    return turned @ (np.eye(3) + par.sensor_matrix).T + weight
+
+
+def motor_angles(par: SensingParameters, q_reported: Array, step: Array) -> Array:
+    """True motor angles (n, joints) when the controller reports q_reported and the last step was `step`, rad."""
+    out = q_reported + par.settle * step
+    for h in (1, 2):
+        out = out + par.encoder_sin[h - 1] * np.sin(h * q_reported) + par.encoder_cos[h - 1] * np.cos(h * q_reported)
+    return out
+
+
+def drift_at(par: SensingParameters, stamp: Array, ambient: Array) -> Array:
+    """Displacement of the arm against the tracker in base_link, (n, 3), m; stamp in s and ambient in degC, (n,)."""
+    if par.drift_kind == "linear":
+        course = stamp
+    elif par.drift_kind == "warm_up":
+        course = 1.0 - np.exp(-stamp / par.drift_time)
+    else:
+        course = ambient - AMBIENT
+    return np.asarray(course)[:, None] * par.drift
+
+
+def tracker_reading(
+    par: SensingParameters, p_in_cell: Array, station: int, p_station: Array, R_station: Array, stamp: Array, ambient: Array
+) -> Array:
+    """Marker in the frame of a station without noise, (n, 3), m.
+
+    Args:
+        p_in_cell: true marker, in the cell frame, (n, 3).
+        station: index; p_station, R_station: its stated pose in the cell frame.
+        stamp: s, (n,); ambient: temperature, degC, (n,).
+    """
+    p = p_in_cell
+    if station == par.shift_station:
+        p = p - par.station_shift * (stamp >= par.shift_time)[:, None]
+    away = p - p_station
+    if par.refraction:
+        up = np.array([0.0, 0.0, 1.0])
+        away = away + par.refraction * (away**2).sum(axis=1)[:, None] * (ambient - AMBIENT)[:, None] * up
+    turn = par.station_turn[min(station, len(par.station_turn) - 1)]
+    R_true = R_station @ rotation_of_vector(turn)
+    return (1.0 + par.tracker_scale) * away @ R_true

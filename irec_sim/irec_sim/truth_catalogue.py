@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How each effect of the catalogue is put into the simulated physics.
+
+An effect draws its parameters from a random generator and changes the physics by a scale. Joints count from 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from .kinematics import Array
+from .parameters import Balancer, PlantParameters
+from .sensing import SensingParameters
+
+Parameters = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Parameters of plant and instruments."""
+
+    plant: PlantParameters
+    sensing: SensingParameters
+
+
+@dataclass(frozen=True)
+class TruthEffect:
+    """draw: parameters from a generator; apply: physics changed by the effect at a scale of its magnitude."""
+
+    draw: Callable[[np.random.Generator], Parameters]
+    apply: Callable[[Physics, Parameters, float], Physics]
+
+
+def direction(rng: np.random.Generator) -> list[float]:
+    """A random unit vector."""
+    v = rng.standard_normal(3)
+    return list(v / np.linalg.norm(v))
+
+
+def plant_effect(draw: Callable[[np.random.Generator], Parameters], change: Callable[[PlantParameters, Parameters, float], Parameters]) -> TruthEffect:
+    """An effect that changes fields of the plant."""
+    return TruthEffect(draw, lambda physics, p, s: replace(physics, plant=replace(physics.plant, **change(physics.plant, p, s))))
+
+
+def sensing_effect(draw: Callable[[np.random.Generator], Parameters], change: Callable[[SensingParameters, Parameters, float], Parameters]) -> TruthEffect:
+    """An effect that changes fields of the instruments."""
+    return TruthEffect(draw, lambda physics, p, s: replace(physics, sensing=replace(physics.sensing, **change(physics.sensing, p, s))))
+
+
+def at_joint(values: Array, joint: int, value: float) -> Array:
+    """values (n,) with `value` added at a joint that counts from 1."""
+    out = values.copy()
+    out[joint - 1] += value
+    return out
+
+
+def _some_joint(rng: np.random.Generator, joints: tuple[int, ...] = (1, 2, 3, 4, 5)) -> int:
+    return int(rng.choice(joints))
+
+
+def _spring(rng: np.random.Generator) -> Parameters:
+    return {"per_translation": list(rng.uniform(0.5, 1.5, 3) * 2e-8), "per_rotation": list(rng.uniform(0.5, 1.5, 3) * 1e-7)}
+
+
+def _base(rng: np.random.Generator) -> Parameters:
+    return {"per_translation": list(rng.uniform(0.5, 1.5, 3) * 3e-9), "per_rotation": list(rng.uniform(0.5, 1.5, 3) * 2.5e-8)}
+
+
+def _six(p: Parameters, s: float) -> Array:
+    return s * np.array([*p["per_translation"], *p["per_rotation"]])
+
+
+def _weighted(rng: np.random.Generator, size: float) -> Parameters:
+    """Magnitudes on one or two joints."""
+    values = np.zeros(6)
+    joints = rng.choice(5, size=int(rng.integers(1, 3)), replace=False)
+    values[joints] = size * rng.uniform(0.7, 1.3, len(joints)) * np.array([1, 1, 1, 2, 2])[joints]
+    return {"per_joint": list(values)}
+
+
+def _coupling(rng: np.random.Generator) -> Parameters:
+    return {"c_45": float(rng.choice([-1, 1]) * rng.uniform(0.5, 1) * 4e-7), "c_56": float(rng.choice([-1, 1]) * rng.uniform(0.5, 1) * 4e-7)}
+
+
+def _couple(plant: PlantParameters, p: Parameters, s: float) -> Parameters:
+    C = plant.coupling.copy()
+    C[3, 4] = C[4, 3] = C[3, 4] + s * p["c_45"]
+    C[4, 5] = C[5, 4] = C[4, 5] + s * p["c_56"]
+    return {"coupling": C}
+
+
+def _traceless(rng: np.random.Generator) -> Parameters:
+    E = rng.standard_normal((3, 3))
+    E -= np.eye(3) * np.trace(E) / 3
+    return {"matrix": (0.05 * E / np.linalg.norm(E)).tolist()}
+
+
+def _station_shift(sensing: SensingParameters, p: Parameters, s: float) -> Parameters:
+    return {"station_shift": s * 1e-4 * np.array(p["direction"]), "shift_time": p["time"], "shift_station": p["station"]}
+
+
+def _geometry(rng: np.random.Generator) -> Parameters:
+    return {
+        "joint_zero": list(rng.standard_normal(6) * 2e-4), "translation": (rng.standard_normal((6, 3)) * 3e-4).tolist(),
+        "turn": (rng.standard_normal((6, 3)) * 1e-4).tolist(),
+    }  # fmt: skip
+
+
+def _harmonics(rng: np.random.Generator) -> Parameters:
+    return {"sin": (rng.standard_normal((2, 6)) * [[3e-5], [1.5e-5]]).tolist(), "cos": (rng.standard_normal((2, 6)) * [[3e-5], [1.5e-5]]).tolist()}
+
+
+def _cable(rng: np.random.Generator) -> Parameters:
+    return {
+        "in_base": list(40.0 * np.array(direction(rng))), "in_tool": list(20.0 * np.array(direction(rng))),
+        "wrist": (rng.standard_normal((2, 3)) * 20.0).tolist(),
+    }  # fmt: skip
+
+
+CATALOGUE: dict[str, TruthEffect] = {
+    "tool_compliance": plant_effect(_spring, lambda plant, p, s: {"tool": plant.tool + _six(p, s)}),
+    "base_compliance": plant_effect(_base, lambda plant, p, s: {"base": plant.base + _six(p, s)}),
+    "rail_compliance": plant_effect(
+        lambda rng: {**_base(rng), "middle": float(rng.uniform(0.05, 0.3))},
+        lambda plant, p, s: {"rail": plant.rail + _six(p, s), "rail_middle": p["middle"]},
+    ),
+    "joint_stiffening": plant_effect(
+        lambda rng: {"joint": _some_joint(rng, (1, 2, 3, 4, 5)), "share": 1.0},
+        lambda plant, p, s: {"soft_zone": at_joint(plant.soft_zone, p["joint"], s * p["share"])},
+    ),
+    "joint_backlash": plant_effect(
+        lambda rng: {"joint": _some_joint(rng, (1, 3, 4, 5)), "width": 1e-4},
+        lambda plant, p, s: {"backlash": at_joint(plant.backlash, p["joint"], s * p["width"] / 2)},
+    ),
+    "joint_hysteresis": plant_effect(
+        lambda rng: {"per_joint": list(rng.uniform(0.1, 0.3, 6))},
+        lambda plant, p, s: {"friction": plant.friction + s * np.array(p["per_joint"])},
+    ),
+    "counterbalance": plant_effect(
+        lambda rng: {"stiffness": float(rng.uniform(0.6, 1.4) * 2.5e7), "angle": float(rng.uniform(-2.9, -2.2))},
+        lambda plant, p, s: {"balancer": Balancer(stiffness=s * p["stiffness"], angle=p["angle"])},
+    ),
+    "joint_coupling": plant_effect(_coupling, _couple),
+    "creep": plant_effect(
+        lambda rng: {"per_joint": list(rng.uniform(0.5, 1.5, 6) * 0.2), "time": float(rng.uniform(5.0, 25.0))},
+        lambda plant, p, s: {"creep": plant.creep + s * np.array(p["per_joint"]), "creep_time": p["time"]},
+    ),
+    "external_force": plant_effect(
+        _cable,
+        lambda plant, p, s: {
+            "cable_in_base": s * np.array(p["in_base"]), "cable_in_tool": s * np.array(p["in_tool"]), "cable_wrist": s * np.array(p["wrist"]),
+        },
+    ),
+    "geometry_error": plant_effect(
+        _geometry,
+        lambda plant, p, s: {
+            "joint_zero": s * np.array(p["joint_zero"]), "p_error": s * np.array(p["translation"]), "turn_error": s * np.array(p["turn"]),
+        },
+    ),
+    "sensor_gain": sensing_effect(_traceless, lambda sensing, p, s: {"sensor_matrix": s * np.array(p["matrix"])}),
+    "sensor_alignment": sensing_effect(
+        lambda rng: {"angle": float(rng.choice([-1, 1]) * 0.03)}, lambda sensing, p, s: {"sensor_turn": s * p["angle"]}
+    ),
+    "tool_weight": sensing_effect(
+        lambda rng: {"mass": float(rng.choice([-1, 1]) * rng.uniform(3, 6))}, lambda sensing, p, s: {"weight_error": s * p["mass"]}
+    ),
+    "station_registration": sensing_effect(
+        lambda rng: {"turn": list(2e-3 * np.array(direction(rng)))}, lambda sensing, p, s: {"station_turn": s * np.array([p["turn"]])}
+    ),
+    "tracker_scale": sensing_effect(
+        lambda rng: {"scale": float(rng.choice([-1, 1]) * 2e-3)}, lambda sensing, p, s: {"tracker_scale": s * p["scale"]}
+    ),
+    "station_shift": sensing_effect(
+        lambda rng: {"direction": direction(rng), "time": float(rng.uniform(400.0, 1200.0)), "station": 0}, _station_shift
+    ),
+    "thermal_drift": sensing_effect(
+        lambda rng: {"velocity": list(1e-6 * np.array(direction(rng))), "kind": str(rng.choice(["linear", "warm_up", "ambient"]))},
+        lambda sensing, p, s: {
+            "drift": s * np.array(p["velocity"]) * {"linear": 1.0, "warm_up": 900.0, "ambient": 100.0}[p["kind"]], "drift_kind": p["kind"],
+        },
+    ),
+    "marker_offset": sensing_effect(
+        lambda rng: {"offset": list(0.02 * np.array(direction(rng)))}, lambda sensing, p, s: {"marker_error": s * np.array(p["offset"])}
+    ),
+    "joint_settling": sensing_effect(
+        lambda rng: _weighted(rng, 1e-3), lambda sensing, p, s: {"settle": sensing.settle + s * np.array(p["per_joint"])}
+    ),
+    "encoder_harmonics": sensing_effect(
+        _harmonics, lambda sensing, p, s: {"encoder_sin": s * np.array(p["sin"]), "encoder_cos": s * np.array(p["cos"])}
+    ),
+}
