@@ -137,8 +137,8 @@ class Robot:
 
     def _path_joints(self) -> list[int]:
         m = self._model
-        stop = m.frames[self._base].parentJoint
-        joint, path = m.frames[self._tcp].parentJoint, []
+        stop = _parent_joint(m.frames[self._base])
+        joint, path = _parent_joint(m.frames[self._tcp]), []
         while joint not in (stop, 0):
             path.append(joint)
             joint = m.parents[joint]
@@ -238,7 +238,7 @@ class Robot:
             model = model.copy()
             frame = model.frames[self._tcp]
             inertia = pin.Inertia(payload.mass, np.asarray(payload.com, dtype=float), np.zeros((3, 3)))
-            model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement)
+            model.appendBodyToJoint(_parent_joint(frame), inertia, frame.placement)
         data = model.createData()
         g = np.asarray(gravity_in_base, dtype=float)
         force, moment = np.empty((len(q), self.n_joints, 3)), np.empty((len(q), self.n_joints, 3))
@@ -250,6 +250,11 @@ class Robot:
                 force[row, i] = data.mass[j] * g
                 moment[row, i] = np.cross(T.rotation @ data.com[j], force[row, i])
         return force, moment
+
+
+def _parent_joint(frame: pin.Frame) -> int:
+    """Index of the joint that carries a frame; Pinocchio 2, the one with wheels for numpy 1, calls it `parent`."""
+    return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)
 
 
 def _orthogonal_pair(axis: Array) -> Array:
