@@ -24,6 +24,7 @@ from .session.data import Session
 from .typing import Array, BoolArray
 
 STRUCTURAL_TOLERANCE = 1e-7  # singular value relative to the largest below which a direction is not observed at all
+INVISIBLE = 1e-3  # standard deviations that all samples together see of a parameter of typical size; below: not visible
 RIDGE = 1e-10  # relative to the largest diagonal entry: makes the solution unique along unobserved directions
 MAX_ITERATIONS = 8
 CONVERGED = 1e-6  # of the parameter scale
@@ -194,7 +195,7 @@ def _describe(terms: tuple[Term, ...], observation: Observation) -> Fit:
     chi2 = float((observation.whiten(residual) ** 2).sum())
     names = [f"{terms[i].effect.id}.{p.name}" for i, p in zip(system.owner, system.parameters, strict=True)]
     norm = np.linalg.norm(system.A, axis=0)
-    seen = norm > 0.0
+    seen = norm > INVISIBLE
     _, s, Vt = np.linalg.svd(system.A[:, seen] / norm[seen], full_matrices=False)
     rank = int((s > STRUCTURAL_TOLERANCE * s[0]).sum()) if len(s) else 0
     known, hidden = Vt[:rank], Vt[rank:]
