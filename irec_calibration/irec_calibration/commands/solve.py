@@ -39,9 +39,11 @@ def run(args: argparse.Namespace) -> int:
 def describe(model: Model) -> str:
     """The model as a readable table with its figures."""
     lines = [f"{'parameter':34} {'value':>12} {'std. error':>12}  unit"]
+    summed = {name for c in model.combinations for name in c.weights}
     for term in model.terms:
         for name, e in term.estimates.items():
-            known = "" if e.identified else "  (only in combination)" if e.se != e.se else "  (weakly known)"
+            unknown = "only in combination" if f"{term.effect.id}.{name}" in summed else "not visible here"
+            known = "" if e.identified else f"  ({unknown})" if e.se != e.se else "  (weakly known)"
             error = f"{e.se:12.3g}" if e.se == e.se else f"{'-':>12}"
             lines.append(f"{term.effect.id + '.' + name:34} {e.value:12.4g} {error}  {e.unit}{known}")
     f = model.figures
