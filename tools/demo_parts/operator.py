@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The person at the cell, as a ROS node: asks for runs and services and watches their progress."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from irec_msgs.action import RunProcedure
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+
+SERVER_WAIT = 30.0  # s
+
+
+class AskedInVain(RuntimeError):
+    """A node does not answer, or refuses; the message says which and why."""
+
+
+class Operator:
+    """Blocking calls with a look at the processes while waiting."""
+
+    def __init__(self, watch: Callable[[], None]) -> None:
+        rclpy.init()
+        self.node = rclpy.create_node("demo_operator")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._watch = watch
+
+    def close(self) -> None:
+        self._executor.shutdown(timeout_sec=1.0)
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def spin(self, seconds: float) -> None:
+        """Let messages in for a while."""
+        self._watch()
+        self._executor.spin_once(timeout_sec=seconds)
+
+    def call(self, kind: Any, name: str, request: Any, timeout: float, tell: Callable[[float], None] | None = None) -> Any:
+        """Response of a service; tell(seconds waited) is called now and then."""
+        client = self.node.create_client(kind, name)
+        self._until(client.service_is_ready, SERVER_WAIT, f"service {name} is not there")
+        future = client.call_async(request)
+        self._until(future.done, timeout, f"service {name} did not answer", tell)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def run_procedure(self, goal: RunProcedure.Goal, timeout: float, tell: Callable[[RunProcedure.Feedback], None]) -> Any:
+        """Result of irec/run_procedure. An interrupt cancels the run and waits until the robot has retracted."""
+        client = ActionClient(self.node, RunProcedure, "irec/run_procedure")
+        self._until(client.server_is_ready, SERVER_WAIT, "action irec/run_procedure is not there")
+        accepted = client.send_goal_async(goal, feedback_callback=lambda m: tell(m.feedback))
+        self._until(accepted.done, SERVER_WAIT, "irec/run_procedure did not accept the run")
+        handle = accepted.result()
+        if not handle.accepted:
+            raise AskedInVain("irec/run_procedure refused the run")
+        result = handle.get_result_async()
+        try:
+            self._until(result.done, timeout, "irec/run_procedure did not come to an end")
+        except KeyboardInterrupt:
+            handle.cancel_goal_async()
+            self._until(result.done, SERVER_WAIT, "irec/run_procedure did not end after it was cancelled")
+            raise
+        return result.result().result
+
+    def _until(
+        self, done: Callable[[], bool], timeout: float, otherwise: str, tell: Callable[[float], None] | None = None
+    ) -> None:
+        begun = time.monotonic()
+        while not done():
+            self.spin(0.1)
+            waited = time.monotonic() - begun
+            if tell is not None:
+                tell(waited)
+            if waited > timeout:
+                raise AskedInVain(f"{otherwise} within {timeout:g} s")
