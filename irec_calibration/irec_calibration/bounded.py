@@ -6,8 +6,9 @@ set which grows by one pose costs one addition and one small solve, not a factor
 
 The method is block principal pivoting (Judice and Pires 1994, "A block principal pivoting algorithm for large-scale
 strictly monotone linear complementarity problems"), extended to two-sided bounds: every variable is at its lower
-bound, free, or at its upper bound; all that violate the optimality conditions change sides together, and where that
-stops helping, one at a time (Murty's rule, finite for every positive definite G).
+bound, free, or at its upper bound; all that violate the optimality conditions change sides together; where that stops
+helping, the worst alone; and where even that goes round in circles, the last alone (Murty's rule, finite for every
+positive definite G).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import ArrayLike
 from .errors import SolveError
 from .typing import Array, BoolArray, IntArray
 
-_PATIENCE = 3  # block exchanges that may fail to reduce the violations before Murty's rule takes over
+_PATIENCE = 1  # block exchanges that may fail to reduce the violations before single ones take over
 _MAX_SWEEPS = 400
 
 
@@ -65,21 +66,22 @@ def solve_bounded_gram(
     fewest = np.full(len(rhs), p + 1)
     patience = np.full(len(rhs), _PATIENCE)
     for _ in range(_MAX_SWEEPS):
-        xo, wish = _sweep(gram[open_], rhs[open_], low[open_], high[open_], side[open_], fixed[open_])
+        xo, wish, excess = _sweep(gram[open_], rhs[open_], low[open_], high[open_], side[open_], fixed[open_])
         change = wish != side[open_]
         count = change.sum(axis=1)
         done = count == 0
         x[open_[done]] = xo[done]
         if done.all():
             return x.reshape(shape)
-        open_, change, wish, count = open_[~done], change[~done], wish[~done], count[~done]
+        open_, change, wish, count, excess = open_[~done], change[~done], wish[~done], count[~done], excess[~done]
         better = count < fewest[open_]
         fewest[open_] = np.where(better, count, fewest[open_])
         patience[open_] = np.where(better, _PATIENCE, patience[open_] - 1)
         one_at_a_time = patience[open_] < 0
+        worst = np.argmax(np.where(change, excess, -1.0), axis=1)
         last = p - 1 - np.argmax(change[:, ::-1], axis=1)
-        only_last = np.arange(p) == last[:, None]
-        change &= ~one_at_a_time[:, None] | only_last
+        single = np.where(patience[open_] < -2 * p, last, worst)
+        change &= ~one_at_a_time[:, None] | (np.arange(p) == single[:, None])
         side[open_] = np.where(change, wish, side[open_])
     raise SolveError(
         f"{len(open_)} of {len(rhs)} bounded problems did not settle in {_MAX_SWEEPS} sweeps: the Gram matrix is too "
@@ -104,8 +106,8 @@ def _check(gram: Array, rhs: Array, low: Array, high: Array) -> None:
 
 def _sweep(
     gram: Array, rhs: Array, low: Array, high: Array, side: IntArray, fixed: BoolArray
-) -> tuple[Array, IntArray]:
-    """Solve for the free variables of every problem; return x and the side on which each variable should be."""
+) -> tuple[Array, IntArray, Array]:
+    """Solve for the free variables: x, the side on which each variable should be, how badly it is on the wrong one."""
     eps = np.finfo(float).eps
     free = side == 0
     at_bound = np.where(side < 0, low, np.where(side > 0, high, 0.0))
@@ -116,9 +118,13 @@ def _sweep(
     x = np.linalg.solve(K, b[:, :, None])[:, :, 0]
     x = np.where(free, x, at_bound)
     gradient = np.einsum("nij,nj->ni", gram, x) - rhs
-    # rounding error of the gradient: a bound variable with less is where it belongs (prevents endless exchange on ties)
-    noise = 8 * rhs.shape[1] * eps * (np.einsum("nij,nj->ni", np.abs(gram), np.abs(x)) + np.abs(rhs))
+    # rounding error of the gradient: a bound variable with less is where it belongs (prevents endless exchange on ties);
+    # |G_ij| <= scale_i scale_j for a positive definite matrix
+    scale = np.sqrt(np.einsum("nii->ni", gram))
+    magnitude = scale * np.sum(scale * np.abs(x), axis=1, keepdims=True) + np.abs(rhs)
+    noise = 4 * eps * magnitude
     wish = np.where(free & (x < low), -1, np.where(free & (x > high), 1, side))
     wish = np.where((side < 0) & ~fixed & (gradient < -noise), 0, wish)
     wish = np.where((side > 0) & ~fixed & (gradient > noise), 0, wish)
-    return x, wish.astype(np.int64)
+    excess = np.where(free, np.maximum(low - x, x - high) * scale, np.abs(gradient) / scale)
+    return x, wish.astype(np.int64), excess

@@ -180,7 +180,7 @@ class Block:
             vertices.append(self._place(face, uv))
         # faces share their vertices along common edges, so that a path along the surface may go over an edge
         merged, index = np.unique(np.round(np.concatenate(vertices), 9), axis=0, return_inverse=True)
-        return TriangleMesh(merged, index.ravel()[np.concatenate(corners)])
+        return TriangleMesh(merged.astype(float), index.ravel()[np.concatenate(corners)])
 
 
 @dataclass(frozen=True)

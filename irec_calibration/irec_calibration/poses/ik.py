@@ -32,7 +32,7 @@ class Chain:
     @classmethod
     def of(cls, robot: Robot) -> Chain:
         zero = robot.kinematics(np.zeros((1, robot.n_joints)))
-        return cls(zero.axis[0], zero.origin[0], zero.R_tool[0], zero.p_tcp[0], zero.is_prismatic)
+        return cls(zero.axis[0], zero.origin[0], zero.R_tool[0], zero.p_tcp[0], zero.is_prismatic.astype(bool))
 
     def forward(self, q: Array) -> tuple[Array, Array, Array]:
         """tool0 and Jacobian for joints q (n, k): p (n, 3) m, R (n, 3, 3), J (n, 6, k), linear part first, in base_link."""

@@ -171,7 +171,7 @@ def _rail_guess(cell: Cell, p_in_cell: Array, rng: np.random.Generator) -> Array
     """A random rail position for each point, rather where the base stands abreast of it, (n,), m."""
     if cell.rail is None:
         return np.zeros(len(p_in_cell))
-    abreast = p_in_cell @ cell.rail.axis + 0.5 * rng.normal(size=len(p_in_cell))
+    abreast = p_in_cell @ cell.rail.axis + 0.3 * rng.normal(size=len(p_in_cell))
     anywhere = rng.uniform(cell.rail.lower, cell.rail.upper, size=len(p_in_cell))
     inside = (abreast >= cell.rail.lower) & (abreast <= cell.rail.upper)
     return np.where(inside, abreast, anywhere)

@@ -49,6 +49,12 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.points)
 
+    def subset(self, indices: IntArray) -> Candidates:
+        """Some of the candidates, for the same work; straight distances only."""
+        gram = None if self.gram is None else self.gram[indices]
+        information = None if self.information is None else self.information[indices]
+        return Candidates(self.points[indices], None, gram, information, self.work)
+
 
 def select_poses(method: str, candidates: Candidates, n: int, *, d_max: float = 0.0, seed: int = 1) -> IntArray:
     """Indices of the chosen candidates, in the order of choice (for cover: coarse to fine).

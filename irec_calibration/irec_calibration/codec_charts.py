@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a CODEC leaves: box plots (Figs. 7, 9, 10), arrays (npz) and a tidy table (csv)."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .codec import Codec
+from .errors import PlanError
+from .figures import pyplot
+from .growth import Growth, growth_of
+from .typing import Array
+
+_COLOURS = ("tab:blue", "tab:red", "tab:green", "tab:orange")
+
+
+def save_arrays(codec: Codec, path: str | Path) -> Path:
+    """E_mu, E_m (n_cv, n_c, 3), norms (n_cv, n_c), m; C_a, C_v, rad/(N m); all parameters C, names; pose numbers."""
+    path = Path(path)
+    np.savez_compressed(
+        path, E_mu=codec.E_mean, E_m=codec.E_max, norm_mean=codec.norm_mean, norm_max=codec.norm_max,
+        C_a=codec.C_a, C_v=codec.C_v, C=codec.C, names=np.array(codec.names), verification=codec.verification,
+        training=codec.training, floor_mean=codec.floor_mean, floor_max=codec.floor_max,
+    )  # fmt: skip
+    return path
+
+
+def save_table(codec: Codec, path: str | Path) -> Path:
+    """One row for each combination and size of the training set: errors in m, parameters in their own units."""
+    path = Path(path)
+    axes = [f"{kind}_{axis}_m" for kind in ("mean", "max") for axis in "xyz"]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["combination", "training_poses", *axes, "mean_norm_m", "max_norm_m", *codec.names])
+        n_cv, n_c = codec.norm_mean.shape
+        for i in range(n_cv):
+            for j in range(n_c):
+                errors = [*codec.E_mean[i, j], *codec.E_max[i, j], codec.norm_mean[i, j], codec.norm_max[i, j]]
+                writer.writerow([i + 1, j + 1, *(f"{value:.9g}" for value in (*errors, *codec.C[i, j]))])
+    return path
+
+
+def save_chart(codecs: Sequence[Codec], path: str | Path, title: str = "") -> Path:
+    """Box plots of mean and maximum error on unseen poses against the number of training poses, one colour per CODEC.
+
+    Boxes: quartiles over the combinations, whiskers to 1.5 box lengths. Dashed: what noise alone leaves. Vertical line with band:
+    where growth has saturated, 5 to 95 %. Raises IrecError: matplotlib is not installed.
+    """
+    plt = pyplot()
+    figure, axes = plt.subplots(2, 1, figsize=(11, 8), sharex=True, constrained_layout=True)
+    for ax, kind, what in zip(axes, ("norm_mean", "norm_max"), ("Mean", "Maximum"), strict=True):
+        top = _draw(ax, codecs, kind)
+        ax.set_ylabel(f"{what} error on\nverification poses [mm]")
+        ax.set_ylim(0.0, top)
+        ax.grid(axis="y", color="0.9")
+        ax.set_axisbelow(True)
+    axes[0].legend(loc="upper right", frameon=False)
+    n_c = codecs[0].norm_mean.shape[1]
+    axes[1].set_xticks(range(1, n_c + 1), labels=[str(j) for j in range(1, n_c + 1)])
+    axes[1].set_xlim(0.3, n_c + 0.7)
+    axes[1].set_xlabel("Number of training poses")
+    n_cv, n_v = codecs[0].verification.shape
+    figure.suptitle(f"{title + ': ' if title else ''}{codecs[0].poses} poses, {n_cv} combinations of {n_v} verification poses")
+    path = Path(path)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+    return path
+
+
+def _draw(ax: Any, codecs: Sequence[Codec], kind: str) -> float:
+    """Boxes, medians, floor and saturation of every CODEC; returns the upper limit of the axis, mm."""
+    width = 0.8 / len(codecs)
+    limits = []
+    for k, codec in enumerate(codecs):
+        colour, values = _COLOURS[k % len(_COLOURS)], 1e3 * getattr(codec, kind)
+        shift = (k - (len(codecs) - 1) / 2) * width
+        at = np.arange(1, values.shape[1] + 1) + shift
+        ax.boxplot(
+            values, positions=at, widths=0.85 * width, manage_ticks=False, patch_artist=True,
+            boxprops={"facecolor": colour, "alpha": 0.35, "edgecolor": colour}, medianprops={"color": colour, "linewidth": 1.6},
+            whiskerprops={"color": colour}, capprops={"color": colour},
+            flierprops={"marker": ".", "markersize": 3, "markeredgecolor": colour},
+        )  # fmt: skip
+        label = f"{codec.label}: median {np.median(values[:, -1]):.3f} mm at the end" if kind == "norm_mean" else None
+        ax.plot(at, np.median(values, axis=0), color=colour, linewidth=0.8, label=label)
+        _draw_saturation(ax, codec, colour, kind == "norm_mean")
+        limits.append(_upper_limit(values))
+    floor = 1e3 * (codecs[0].floor_mean if kind == "norm_mean" else codecs[0].floor_max)
+    ax.axhline(floor, color="black", linestyle="--", linewidth=1, label=f"instrument noise alone, {floor:.3f} mm")
+    return max(*limits, 1.3 * floor)
+
+
+def _draw_saturation(ax: Any, codec: Codec, colour: str, named: bool) -> None:
+    try:
+        growth: Growth = growth_of(codec)
+    except PlanError:
+        return
+    if growth.saturated:
+        low, high = growth.saturated_interval
+        label = f"{codec.label}: saturated at {growth.saturated_at} ({low} to {high}) poses" if named else None
+        ax.axvline(growth.saturated_at, color=colour, linestyle=":", label=label)
+        ax.axvspan(low - 0.5, high + 0.5, color=colour, alpha=0.06, linewidth=0)
+
+
+def _upper_limit(values: Array) -> float:
+    """An axis limit that shows the growth: what is larger with the very first poses runs out of the chart."""
+    first = min(2, values.shape[1] - 1)
+    return 1.15 * float(np.percentile(values[:, first:], 99.5))
