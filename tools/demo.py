@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`make demo`: calibrate the simulated AFP cell through the nodes, then drive a loaded course without and with correction.
+
+Everything is asked for as a person at a real cell would: actions and services of the nodes. Results go to out/demo.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+
+from irec_calibration.cell import read_cell
+from irec_calibration.errors import IrecError
+from irec_calibration.model_file import load_model
+from irec_calibration.poses.plan import make_plan, pose_list
+from irec_calibration.poses.store import read_poses, write_poses
+from irec_calibration.session import read_session
+
+ROOT = Path(__file__).resolve().parents[1]
+N_POSES, D_MAX, POOL, SEED = 31, 0.175, 3000, 1  # of the plan: paper 4.2.3, d_max in m
+PROCEDURE_TIMEOUT = 600.0  # s of the machine's clock
+COURSE_TIMEOUT = 180.0
+SIX, EIGHTEEN = ["joint_torsion"], ["joint_torsion", "link_bending"]
+
+
+def main() -> int:
+    """Run the demo; 0 if it went through, 2 if not."""
+    parser = argparse.ArgumentParser(description="Calibrate the simulated AFP cell and drive a course with correction.")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "demo", help="folder for results (default: out/demo)")
+    parser.add_argument("--cell", type=Path, default=ROOT / "config" / "cells" / "afp.yaml", help="cell file")
+    parser.add_argument("--poses", type=int, default=N_POSES, help=f"number of engagement poses (default: {N_POSES})")
+    parser.add_argument("--speed", type=float, default=6.0, help="simulated seconds per second, at most (default: 6)")
+    args = parser.parse_args()
+    os.environ["ROS_DOMAIN_ID"] = str(101 + os.getpid() % 100)  # before the first ROS import: nobody else's topics
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    from demo_parts.operator import AskedInVain
+    from demo_parts.processes import NodeEnded
+
+    try:
+        _run(args)
+    except (IrecError, AskedInVain, NodeEnded, ValueError) as error:
+        print(f"\ndemo: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\ndemo: cancelled; all nodes are ended", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _run(args: argparse.Namespace) -> None:
+    from demo_parts.operator import Operator
+    from demo_parts.processes import Processes
+    from demo_parts.progress import Progress
+
+    out: Path = args.out
+    if out.exists():
+        shutil.rmtree(out)
+    out.mkdir(parents=True)
+    progress = Progress()
+    progress.stage("plan", f"planning {args.poses} engagement poses on the mould")
+    poses = _plan(args, out)
+    progress.stage("start", "starting the simulated cell, procedure, calibration, correction and recorder")
+    with Processes(out / "log", {}) as processes:
+        _start(processes, args, out)
+        operator = Operator(processes.check)
+        try:
+            summary = _calibrate_and_drive(operator, progress, args, out, poses)
+        finally:
+            operator.close()
+    progress.stage("figures", "drawing figures")
+    _draw_and_tell(args, out, summary, progress)
+
+
+def _plan(args: argparse.Namespace, out: Path) -> Path:
+    """Poses of the cell if its file is there and fits, planned ones else."""
+    cell = read_cell(args.cell)
+    path = out / "poses.yaml"
+    if cell.poses_path.is_file():
+        try:
+            if len(read_poses(cell.poses_path, cell.serial, cell.robot.sha256).poses) == args.poses:
+                shutil.copy(cell.poses_path, path)
+                return path
+        except IrecError:
+            pass  # made for another robot or description: plan again
+    plan = make_plan(cell, args.poses, d_max=D_MAX, pool_size=POOL, seed=SEED)
+    return write_poses(pose_list(cell, plan), path)
+
+
+def _start(processes: object, args: argparse.Namespace, out: Path) -> None:
+    start = processes.start  # type: ignore[attr-defined]
+    sim = {"use_sim_time": True}
+    cell = str(args.cell)
+    start("cell", "irec_sim.nodes.cell_node", {"cell": cell, "speed_factor": args.speed, "course_csv": str(out / "course.csv")})
+    start("procedure", "irec_calibration.nodes.procedure_node", {"cell": cell, "session_folder": str(out), **sim})
+    start("calibration", "irec_calibration.nodes.calibration_node", {"cell": cell, "calibration_folder": str(out / "calibrations"), **sim})
+    start("correction", "irec_correction.nodes.correction_node", {"cell": cell, **sim})
+    topics = "[joint_states, tcp_pose, wrench, tracker/point, robot/state, robot_description, irec/offset, irec/correction/state]"
+    start("recorder", "irec_calibration.nodes.recorder_node", {"output": str(out / "bag"), "topics": topics, "autostart": False, **sim})
+
+
+def _calibrate_and_drive(operator: object, progress: object, args: argparse.Namespace, out: Path, poses: Path) -> dict:
+    from irec_msgs.action import RunProcedure
+    from irec_msgs.srv import ActivateModel, SolveCompliances
+    from std_srvs.srv import Trigger
+
+    ask, tell = operator.call, progress  # type: ignore[attr-defined]
+    tell.stage("procedure", f"Procedure 1: {args.poses} poses, 5 load cases each")
+    session = out / "session.mcap"
+    goal = RunProcedure.Goal(poses_path=str(poses), session_path=str(session))
+
+    def show(f: RunProcedure.Feedback) -> None:
+        # `remaining` counts the cell's clock; the clock on the wall runs slower or faster
+        spent = time.monotonic() - begun
+        done = max(f.pose - 1, 0) / max(f.poses, 1)
+        left = f"about {spent * (1 - done) / done:.0f} s left" if f.pose > 2 else "estimating the time left"
+        tell.update(f"pose {f.pose} of {f.poses}, load case {f.load_case} of {f.load_cases}, {f.state}; {left}")
+
+    begun = time.monotonic()
+    result = operator.run_procedure(goal, PROCEDURE_TIMEOUT, show)  # type: ignore[attr-defined]
+    if not result.success:
+        raise ValueError(f"Procedure 1 did not come to its end: {result.message}")
+    tell.say(result.message)
+    tell.stage("solve", "solving 6 and 18 degrees of freedom")
+    models = {}
+    for name, effects in (("6 DOF", SIX), ("18 DOF", EIGHTEEN)):
+        path = out / ("model.yaml" if effects is EIGHTEEN else "model_6dof.yaml")
+        request = SolveCompliances.Request(session_path=str(session), effects=effects, model_path=str(path))
+        answer = ask(SolveCompliances, "irec/solve", request, 60.0)
+        if not answer.success:
+            raise ValueError(f"solving {name}: {answer.message}")
+        tell.say(f"{name}: {answer.message}")
+        models[name] = (path, answer)
+    tell.stage("course", "driving the loaded course without correction")
+    recording = ask(Trigger, "recorder/start", Trigger.Request(), 10.0)
+    if not recording.success:
+        raise ValueError(f"recording: {recording.message}")
+    courses = {}
+    for name in ("without", "with"):
+        if name == "with":
+            answer = ask(ActivateModel, "irec/correction/activate_model", ActivateModel.Request(model_path=str(models["18 DOF"][0])), 10.0)
+            if not answer.success:
+                raise ValueError(f"the correction refused the model: {answer.message}")
+            tell.say("correction is active; driving the course again")
+        answer = ask(Trigger, "sim/run_course", Trigger.Request(), COURSE_TIMEOUT,
+                     lambda s, name=name: tell.update(f"course {name} correction, {s:.0f} s"))  # fmt: skip
+        if not answer.success:
+            raise ValueError(f"the course could not be driven: {answer.message}")
+        courses[name] = out / f"course_{name}.csv"
+        (out / "course.csv").rename(courses[name])
+    ask(Trigger, "recorder/stop", Trigger.Request(), 30.0)
+    return {"session": session, "models": models, "courses": courses, "poses": result.poses_recorded, "path_poses": poses}
+
+
+def _draw_and_tell(args: argparse.Namespace, out: Path, made: dict, progress: object) -> None:
+    from demo_parts.course import figures_mm, read_course, reduction_percent
+    from demo_parts.figures import course_figure, residuals_figure
+    from demo_parts.table import table
+
+    cell = read_cell(args.cell)
+    without, corrected = (read_course(made["courses"][name]) for name in ("without", "with"))
+    session = read_session(made["session"])
+    models = {name: load_model(path) for name, (path, _) in made["models"].items()}
+    residuals = residuals_figure(session, models, out / "residuals.png")
+    drawn = course_figure(without, corrected, cell.tolerance, out / "course.png")
+    deviation = {"without": figures_mm(without.lateral), "with": figures_mm(corrected.lateral)}
+    reduction = reduction_percent(deviation["without"], deviation["with"])
+    total = {"without": figures_mm(without.total), "with": figures_mm(corrected.total)}
+    wall = progress.finish()  # type: ignore[attr-defined]
+    model_path, answer = made["models"]["18 DOF"]
+    summary = {
+        "format": "irec-summary/1",
+        "cell": cell.name,
+        "deviation_mm": deviation,
+        "reduction_percent": reduction,
+        "total_deviation_mm": total,
+        "total_reduction_percent": reduction_percent(total["without"], total["with"]),
+        "calibration": {
+            "poses": int(made["poses"]),
+            "load_cases": len(cell.forces_in_tool),
+            "residual_rms_m": float(answer.residual_rms),
+            "noise_floor_m": float(answer.noise_floor),
+            "cross_validated_rms_m": float(answer.cross_validated_rms),
+        },
+        "wall_s": wall,
+        "files": {
+            "session": str(made["session"]),
+            "model": str(model_path),
+            "model_6dof": str(made["models"]["6 DOF"][0]),
+            "poses": str(made["path_poses"]),
+            "bag": str(out / "bag"),
+            "course_without": str(made["courses"]["without"]),
+            "course_with": str(made["courses"]["with"]),
+            "residuals_figure": str(residuals),
+            "course_figure": str(drawn),
+        },
+    }
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    print(table(deviation["without"], deviation["with"], reduction))
+    print(f"  wall time: {', '.join(f'{name} {seconds:.0f} s' for name, seconds in wall.items())}")
+    print(f"  results in {out}: summary.json, model.yaml, session.mcap, bag/, residuals.png, course.png")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
