@@ -97,16 +97,19 @@ def _start(processes: object, args: argparse.Namespace, out: Path) -> None:
     cell = str(args.cell)
     start("cell", "irec_sim.nodes.cell_node", {"cell": cell, "speed_factor": args.speed, "course_csv": str(out / "course.csv")})
     start("procedure", "irec_calibration.nodes.procedure_node", {"cell": cell, "session_folder": str(out), **sim})
-    start("calibration", "irec_calibration.nodes.calibration_node", {"cell": cell, "calibration_folder": str(out / "calibrations"), **sim})
+    folder = str(out / "calibrations")
+    start("calibration", "irec_calibration.nodes.calibration_node", {"cell": cell, "calibration_folder": folder, **sim})
     start("correction", "irec_correction.nodes.correction_node", {"cell": cell, **sim})
     topics = "[joint_states, tcp_pose, wrench, tracker/point, robot/state, robot_description, irec/offset, irec/correction/state]"
-    start("recorder", "irec_calibration.nodes.recorder_node", {"output": str(out / "bag"), "topics": topics, "autostart": False, **sim})
+    recorder = {"output": str(out / "bag"), "topics": topics, "autostart": False, **sim}
+    start("recorder", "irec_calibration.nodes.recorder_node", recorder)
 
 
 def _calibrate_and_drive(operator: object, progress: object, args: argparse.Namespace, out: Path, poses: Path) -> dict:
+    from std_srvs.srv import Trigger
+
     from irec_msgs.action import RunProcedure
     from irec_msgs.srv import ActivateModel, SolveCompliances
-    from std_srvs.srv import Trigger
 
     ask, tell = operator.call, progress  # type: ignore[attr-defined]
     tell.stage("procedure", f"Procedure 1: {args.poses} poses, 5 load cases each")
@@ -142,7 +145,8 @@ def _calibrate_and_drive(operator: object, progress: object, args: argparse.Name
     courses = {}
     for name in ("without", "with"):
         if name == "with":
-            answer = ask(ActivateModel, "irec/correction/activate_model", ActivateModel.Request(model_path=str(models["18 DOF"][0])), 10.0)
+            wanted = ActivateModel.Request(model_path=str(models["18 DOF"][0]))
+            answer = ask(ActivateModel, "irec/correction/activate_model", wanted, 10.0)
             if not answer.success:
                 raise ValueError(f"the correction refused the model: {answer.message}")
             tell.say("correction is active; driving the course again")

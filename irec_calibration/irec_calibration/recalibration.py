@@ -165,7 +165,8 @@ class Register:
             return None
         path = Path(entries[-1]["model"])
         if not path.is_file():
-            raise ModelError(f"{path}: the model in force is missing; restore it, or calibrate anew after removing {self._file(serial)}")
+            register = self._file(serial)
+            raise ModelError(f"{path}: the model in force is missing; restore it, or calibrate anew after removing {register}")
         if file_sha256(path) != entries[-1]["sha256"]:
             raise ModelError(f"{path}: the model in force has been changed since it was put in force; restore it")
         return path, load_model(path)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from irec_calibration.procedure.checks import Target
 from irec_calibration.procedure.machine import (
     CancelMove,

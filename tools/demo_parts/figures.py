@@ -15,7 +15,7 @@ from irec_calibration.session import Session
 from .course import Course
 
 matplotlib.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402 - after the choice of the back end
+from matplotlib import pyplot as plt
 
 GREY, RED, BLUE = "#8a8f98", "#c8442b", "#1f5fa8"
 TOLERANCE_COLOUR = "#3a8a4d"
@@ -57,7 +57,8 @@ def residuals_figure(session: Session, models: dict[str, Model], path: Path) -> 
 def course_figure(without: Course, corrected: Course, tolerance_m: float, path: Path) -> Path:
     """Lateral deviation along the course without and with correction."""
     figure, axes = plt.subplots(figsize=(10, 4), layout="constrained")
-    axes.axhspan(-1e3 * tolerance_m, 1e3 * tolerance_m, color=TOLERANCE_COLOUR, alpha=0.12, lw=0, label="tolerance of the process")
+    limit = 1e3 * tolerance_m
+    axes.axhspan(-limit, limit, color=TOLERANCE_COLOUR, alpha=0.12, lw=0, label="tolerance of the process")
     axes.plot(without.way, 1e3 * without.lateral, color=RED, lw=1.2, label="without correction")
     axes.plot(corrected.way, 1e3 * corrected.lateral, color=BLUE, lw=1.2, label="with correction")
     axes.set_xlabel("way along the course [m]")

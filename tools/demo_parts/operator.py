@@ -8,9 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
-from irec_msgs.action import RunProcedure
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
+
+from irec_msgs.action import RunProcedure
 
 SERVER_WAIT = 30.0  # s
 

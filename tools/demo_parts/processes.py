@@ -35,7 +35,7 @@ class Processes:
         for key, value in (remaps or {}).items():
             arguments += ["-r", f"{key}:={value}"]
         with open(self._folder / f"{name}.log", "wb") as log:
-            self._running[name] = subprocess.Popen(  # noqa: S603 - our own nodes
+            self._running[name] = subprocess.Popen(
                 arguments, stdout=log, stderr=subprocess.STDOUT, env=self._environment, start_new_session=True
             )
 

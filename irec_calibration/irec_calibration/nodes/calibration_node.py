@@ -15,15 +15,16 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from irec_msgs.action import RunProcedure
-from irec_msgs.msg import ProcedureStatus
-from irec_msgs.srv import ActivateModel, AnalyseSession, Recalibrate, SolveCompliances
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from irec_msgs.action import RunProcedure
+from irec_msgs.msg import ProcedureStatus
+from irec_msgs.srv import ActivateModel, AnalyseSession, Recalibrate, SolveCompliances
 
 from ..cell import read_cell
 from ..errors import CellError, IrecError, SessionError
@@ -204,7 +205,8 @@ class CalibrationNode(Node):
         status = verdict.get("status", "")
         response.status = status if status in STATUSES else "not_evaluated"
         response.effects = [str(e) for e in verdict.get("effects", found.get("effects", []))]
-        figures = found.get("model") if isinstance(found.get("model"), dict) else found
+        model = found.get("model")
+        figures = model if isinstance(model, dict) else found
         response.cross_validated_rms = float(figures.get("cv_rms_m") or "nan")
         response.noise_floor = float(found.get("noise_floor_m") or "nan")
         response.message = str(verdict.get("text") or found.get("text") or f"{request.command} done; results in {output}")
@@ -227,7 +229,7 @@ def _arguments(command: str, session: str, model: str, effect: str, output: str)
 
 def _command(arguments: list[str]) -> dict[str, Any]:
     """Run one `irec` command in a process of its own; its JSON. IrecError with its message where it fails."""
-    done = subprocess.run(  # noqa: S603 - our own program
+    done = subprocess.run(
         [sys.executable, "-m", "irec_calibration.cli", *arguments], capture_output=True, text=True, check=False
     )
     if done.returncode not in (0, 1):

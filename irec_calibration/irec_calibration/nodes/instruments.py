@@ -8,11 +8,12 @@ from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
-from irec_msgs.msg import RobotState
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, Temperature
+
+from irec_msgs.msg import RobotState
 
 from ..procedure.recorder import SessionRecorder
 from ..procedure.settle import Streams

@@ -16,8 +16,6 @@ import numpy as np
 import rclpy
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Point, Vector3, Wrench
-from irec_msgs.action import RunProcedure
-from irec_msgs.msg import LoadCaseRecord, ProcedureStatus, RobotState
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.clock import Clock, ClockType
@@ -29,6 +27,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+
+from irec_msgs.action import RunProcedure
+from irec_msgs.msg import LoadCaseRecord, ProcedureStatus, RobotState
 
 from ..cell import read_cell
 from ..errors import CellError, IrecError
@@ -100,8 +101,7 @@ class ProcedureNode(Node):
 
     async def _execute(self, goal: Any) -> RunProcedure.Result:
         try:
-            self._prepare(goal)
-            await self._ended
+            await self._begin(goal)
             return self._result(goal)
         except IrecError as error:
             self.get_logger().error(str(error))
@@ -111,7 +111,8 @@ class ProcedureNode(Node):
             self._close()
             self._busy = False
 
-    def _prepare(self, goal: Any) -> None:
+    def _begin(self, goal: Any) -> Future:
+        """Open the recording and set the machine up; the future is done at the end of the run."""
         request = goal.request
         poses_path = request.poses_path or str(self.cell.poses_path)
         poses = read_poses(poses_path, self.cell.serial, self.cell.robot.sha256).poses
@@ -130,13 +131,15 @@ class ProcedureNode(Node):
         )  # fmt: skip
         self._poses_before = len({pose for pose, _ in self._recorder.done})
         self._link.attach(self._procedure)
-        self._goal, self._ended = goal, Future()
+        ended = Future()
+        self._goal, self._ended = goal, ended
         self._instruments.find_temperatures()
         self._instruments.record_to(self._recorder)
         self._begun = time.monotonic()
         self._session_start = 0.0
         where = f"going on after {self._poses_before} complete poses" if self._recorder.done else "from the beginning"
         self.get_logger().info(f"{len(targets)} poses from {poses_path}, {where}; recording to {self._recorder.path}")
+        return ended
 
     def _new_path(self, request: RunProcedure.Goal) -> Path:
         if request.session_path:

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Vector3, WrenchStamped
-from irec_msgs.action import Move
-from irec_msgs.srv import SetControlMode
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from scipy.spatial.transform import Rotation
+
+from irec_msgs.action import Move
+from irec_msgs.srv import SetControlMode
 
 from ..procedure.machine import CancelMove, ForceSetpoint, MoveJoint, MoveLinear, Procedure, SwitchMode
 

@@ -144,5 +144,6 @@ def contact_problem(window: Window, reference: Window, R_tool_in_station: Array,
     moved = R_tool_in_station.T @ (window.p_marker_in_station.mean(axis=0) - reference.p_marker_in_station.mean(axis=0))
     way = float(np.hypot(moved[0], moved[1]))
     if way > settings.settling.slip_m:
-        return f"the contact slipped: the marker moved {way * 1e3:.2f} mm along the surface, limit {settings.settling.slip_m * 1e3:.2f} mm"
+        limit = settings.settling.slip_m
+        return f"the contact slipped: the marker moved {way * 1e3:.2f} mm along the surface, limit {limit * 1e3:.2f} mm"
     return ""

@@ -15,7 +15,7 @@ from ..typing import Array
 from .checks import Target, contact_problem
 from .settings import Settings
 from .settle import Streams, Window, unsettled
-from .table import IN_CONTACT_RANGE, STATES, UNDER_FORCE_CONTROL
+from .table import NEAR_CONTACT, STATES
 
 SILENCE_S = 3.0  # a stream that is older than this has stopped
 
@@ -203,10 +203,6 @@ class Procedure:
     def finished(self) -> bool:
         return self.state == "finished"
 
-    @property
-    def under_force_control(self) -> bool:
-        return self.state in UNDER_FORCE_CONTROL
-
     def remaining_s(self, now: float) -> float:
         """Estimate of the time to the end, s of the cell's clock."""
         per_pose = float(np.median(self.counts.seconds)) if self.counts.seconds else 6.0 + 2.0 * len(self.forces)
@@ -285,7 +281,7 @@ class Procedure:
             return
         self._outcome = "broken off"
         self._cancel_move()
-        self._go("position_mode" if self.state in IN_CONTACT_RANGE else "next_pose")
+        self._go("position_mode" if self.state in NEAR_CONTACT else "next_pose")
 
     def _watch(self) -> None:
         """Conditions that end the run in any state that moves the robot or presses."""

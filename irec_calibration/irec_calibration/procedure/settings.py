@@ -98,7 +98,8 @@ def read_settings(cell: Cell) -> Settings:
     box.only("lower", "upper")
     workspace = np.array([box.vector("lower", 3), box.vector("upper", 3)])
     if (workspace[0] >= workspace[1]).any():
-        raise CellError(f"{cell.path}: workspace.upper is {workspace[1].tolist()}, must be more than lower {workspace[0].tolist()}")
+        lower, upper = workspace.tolist()
+        raise CellError(f"{cell.path}: workspace.upper is {upper}, must be more than lower {lower}")
     settings = Settings(
         home_speed=s.number("home_speed", 0.001, 1.0),
         linear_speed=s.number("linear_speed", 0.0001, 1.0),

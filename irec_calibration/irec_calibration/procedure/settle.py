@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -90,7 +91,7 @@ class Streams:
 
     def newest(self) -> dict[str, float]:
         """Stamp of the newest reading of each stream that has any."""
-        streams = {"force": self._force, "marker": self._marker, "joints": self._joints, "TCP": self._tcp}
+        streams: dict[str, Any] = {"force": self._force, "marker": self._marker, "joints": self._joints, "TCP": self._tcp}
         return {name: stream[-1][0] for name, stream in streams.items() if stream}
 
     def mean_force(self, begin: float, length_s: float) -> Array | None:

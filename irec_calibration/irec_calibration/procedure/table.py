@@ -23,34 +23,34 @@ class State:
     name: str
     lines: str
     enter: str
+    otherwise: str
     leave: tuple[tuple[str, str], ...]
-    otherwise: str = ""
 
 
 STATES = {
     state.name: state
     for state in (
         # fmt: off
-        #     state             lines     on entry               left when -> for                                            else
-        State("idle",           "1-2",    "nothing",             (("nothing_to_do", "finished"), ("started", "home"))),
-        State("home",           "3-4",    "move_home",           (("moved", "approach"),),                                   "stop"),
-        State("approach",       "5",      "move_to_approach",    (("moved", "advance"),),                                    "next_pose"),
-        State("advance",        "6-7",    "move_to_reference",   (("moved", "reference"),),                                  "skip_pose"),
-        State("reference",      "8-9",    "begin_window",        (("stands_still", "force_mode"),),                          "skip_pose"),
-        State("force_mode",     "10-11",  "record_and_switch",   (("switched", "establish"),),                               "skip_pose"),
-        State("establish",      "12-13",  "ask_for_force",       (("force_is_near", "settle"),),                             "next_case"),
-        State("settle",         "13",     "begin_window",        (("stands_still", "record"),),                              "next_case"),
-        State("record",         "14-21",  "record_row",          (("always", "next_case"),)),
-        State("next_case",      "22-23",  "count_case",          (("cases_left", "establish"), ("always", "position_mode"))),
-        State("position_mode",  "24",     "switch_to_position",  (("switched", "retract"),),                                 "failed"),
-        State("retract",        "25",     "move_to_retract",     (("moved", "next_pose"),),                                  "failed"),
-        State("next_pose",      "26-27",  "count_pose",          (("ending", "finished"), ("no_pose_left", "finished"),
-                                                                  ("pausing", "paused"), ("always", "home"))),
-        State("paused",         "-",      "nothing",             (("ending", "finished"), ("resumed", "home"))),
-        State("failed",         "-",      "give_up",             (("always", "finished"),)),
-        State("finished",       "27",     "nothing",             ()),
+        #     state             lines     on entry               else            left when -> for
+        State("idle",           "1-2",    "nothing",             "",             (("nothing_to_do", "finished"), ("started", "home"))),
+        State("home",           "3-4",    "move_home",           "stop",         (("moved", "approach"),)),
+        State("approach",       "5",      "move_to_approach",    "next_pose",    (("moved", "advance"),)),
+        State("advance",        "6-7",    "move_to_reference",   "skip_pose",    (("moved", "reference"),)),
+        State("reference",      "8-9",    "begin_window",        "skip_pose",    (("stands_still", "force_mode"),)),
+        State("force_mode",     "10-11",  "record_and_switch",   "skip_pose",    (("switched", "establish"),)),
+        State("establish",      "12-13",  "ask_for_force",       "next_case",    (("force_is_near", "settle"),)),
+        State("settle",         "13",     "begin_window",        "next_case",    (("stands_still", "record"),)),
+        State("record",         "14-21",  "record_row",          "",             (("always", "next_case"),)),
+        State("next_case",      "22-23",  "count_case",          "",             (("cases_left", "establish"),
+                                                                                  ("always", "position_mode"))),
+        State("position_mode",  "24",     "switch_to_position",  "failed",       (("switched", "retract"),)),
+        State("retract",        "25",     "move_to_retract",     "failed",       (("moved", "next_pose"),)),
+        State("next_pose",      "26-27",  "count_pose",          "",             (("ending", "finished"), ("no_pose_left", "finished"),
+                                                                                  ("pausing", "paused"), ("always", "home"))),
+        State("paused",         "-",      "nothing",             "",             (("ending", "finished"), ("resumed", "home"))),
+        State("failed",         "-",      "give_up",             "",             (("always", "finished"),)),
+        State("finished",       "27",     "nothing",             "",             ()),
         # fmt: on
     )
 }
-IN_CONTACT_RANGE = ("advance", "reference", "force_mode", "establish", "settle", "record", "next_case", "position_mode", "retract")
-UNDER_FORCE_CONTROL = ("force_mode", "establish", "settle", "record", "next_case")
+NEAR_CONTACT = ("advance", "reference", "force_mode", "establish", "settle", "record", "next_case", "position_mode", "retract")
