@@ -119,6 +119,11 @@ class Deflection:
         self._wrench_at_base = np.zeros(6)
         self.reset()
 
+    @property
+    def R_tool(self) -> Array:
+        """tool0 in base_link at the last call, (3, 3); overwritten by the next one."""
+        return self._chain.R_tool
+
     def reset(self) -> None:
         """Forget history: the robot stands relaxed, without process force."""
         self._played = np.zeros(self.n_joints)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole chain, without ROS: wrench and joint angles in, offset out, one tick per period.
+
+    reading -> watchdog -> bias, weight, cable -> filters -> TCP -> model at the joint angles -> prediction ahead -> state machine
+    -> limits -> offset
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from irec_calibration.model import Model
+from irec_calibration.robot import Robot
+from irec_calibration.typing import Array
+
+from .conditioning import Conditioner
+from .deflection import Deflection
+from .errors import ActivationError, SettingsError
+from .limits import OffsetLimiter, OffsetLimits
+from .state import State, StateTimes, Supervisor
+from .watchdog import Fault, Finding, Watchdog, WatchdogSettings
+
+
+@dataclass(frozen=True)
+class CorrectionSettings:
+    """How the correction behaves.
+
+    Attributes:
+        period: nominal time between two ticks, s.
+        with_rotation: correct the orientation of the tool too.
+        lead: the offset is extrapolated by this time, s: the measured delay from force to robot. 0: not at all.
+        lead_smoothing: time constant of the rate that is extrapolated, s. lead_limit: largest extrapolation, m and rad.
+        need_envelope: refuse a model without the range that it was identified in.
+    """
+
+    period: float = 0.004
+    with_rotation: bool = False
+    lead: float = 0.0
+    lead_smoothing: float = 0.02
+    lead_limit: float = 2e-4
+    need_envelope: bool = False
+    limits: OffsetLimits = field(default_factory=OffsetLimits)
+    times: StateTimes = field(default_factory=StateTimes)
+    watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.period) and 0.0 < self.period <= 0.1):
+            raise SettingsError(f"period of the correction is {self.period} s; 0 .. 0.1 s is possible")
+        if not 0.0 <= self.lead <= 0.1:
+            raise SettingsError(f"lead of the correction is {self.lead} s; 0 .. 0.1 s is possible")
+        if not self.lead_smoothing > 0.0:
+            raise SettingsError(f"lead_smoothing is {self.lead_smoothing} s; it must be above 0")
+
+
+@dataclass(frozen=True)
+class Output:
+    """What one tick gave. Vectors in base_link, SI units.
+
+    Attributes:
+        translation, rotation: offset to be added to the commanded TCP, (3,), m and rad (rotation vector).
+        deflection: predicted translation of the TCP, (3,), m.
+        wrench_at_tcp: process wrench in tool0, (6,), N and N m.
+        R_tool: tool0 in base_link, (3, 3).
+    """
+
+    translation: Array
+    rotation: Array
+    deflection: Array
+    wrench_at_tcp: Array
+    R_tool: Array
+    state: State
+    reason: str
+
+
+@dataclass
+class Counts:
+    """Ticks: all, with a limit active, held, later than twice the period."""
+
+    ticks: int = 0
+    limited: int = 0
+    held: int = 0
+    late: int = 0
+
+
+class Correction:
+    """The chain with its memory. Times are seconds on one clock, given by the caller; one thread only."""
+
+    def __init__(self, settings: CorrectionSettings, robot: Robot, conditioner: Conditioner) -> None:
+        self.settings, self.robot = settings, robot
+        self.conditioner = conditioner
+        self.watchdog = Watchdog(settings.watchdog, robot.velocity)
+        self.supervisor = Supervisor(settings.times)
+        self.limiter = OffsetLimiter(settings.limits, settings.period)
+        self.counts = Counts()
+        self.deflection: Deflection | None = None
+        self._ahead = _Lead(settings.lead, settings.lead_smoothing, settings.lead_limit)
+        self._q = np.zeros(robot.n_joints)
+        self._rail = 0.0
+        self._wrench = np.zeros(6)
+        self._R_tool = np.eye(3)
+        self._wanted = np.zeros(6)
+        self._u = np.zeros(3)
+        self._last_tick: float | None = None
+
+    # -- model ---------------------------------------------------------------------------------------------------------
+
+    def put_in_force(self, model: Model, now: float, deflection: Deflection | None = None) -> None:
+        """Follow another model from the next tick on; a running correction blends over.
+
+        Raises:
+            ActivationError: an effect can't act in real time, the model has no envelope though one is needed.
+        """
+        if self.settings.need_envelope and model.envelope is None:
+            raise ActivationError("the model does not say in which range it was identified ('envelope'); identify it again")
+        envelope = model.envelope
+        if envelope is not None and len(envelope.q_lower) != self.robot.n_joints:
+            raise ActivationError(f"the model's envelope has {len(envelope.q_lower)} joints, the robot has {self.robot.n_joints}")
+        self.deflection = deflection if deflection is not None else Deflection(model, self.robot)
+        self.watchdog.envelope = envelope
+        self.supervisor.restart_ramp(now, self.present, "another model was put in force")
+
+    @property
+    def present(self) -> Array:
+        """Offset being sent, (6,), m and rad."""
+        return np.concatenate([self.limiter.translation.value, self.limiter.rotation.value])
+
+    def start(self, now: float) -> None:
+        """Ramp in. Raises ActivationError without a model."""
+        if self.deflection is None:
+            raise ActivationError("no model is in force; activate one first")
+        if self.supervisor.state is State.FAULT:
+            self.supervisor.stop(now, self.present)
+        self.deflection.reset()
+        self.supervisor.start(now, self.present)
+
+    def stop(self, now: float, reason: str = "stopped") -> None:
+        """Fade out."""
+        self.supervisor.stop(now, self.present, reason)
+
+    # -- inputs --------------------------------------------------------------------------------------------------------
+
+    def take_wrench(self, stamp: float, now: float, frame: str, reading: Array, status: str = "") -> None:
+        """One reading (6,), N and N m, in the frame that the conditioner expects; `status`: what the sensor itself complains of."""
+        if status:
+            self.watchdog.refuse(Fault.SENSOR_STATUS, f"force sensor reports {status}")
+        else:
+            self.watchdog.clear()
+        if self.watchdog.accept_wrench(stamp, now, frame, reading):
+            self._wrench = self.conditioner.step(reading, self._R_tool)
+
+    def take_joints(self, stamp: float, now: float, q: Array, rail_position: float = 0.0) -> None:
+        """Joint angles (k,), rad, and the external axis, m."""
+        if self.watchdog.accept_joints(stamp, now, q):
+            self._q, self._rail = q, rail_position if math.isfinite(rail_position) else self._rail
+
+    # -- output --------------------------------------------------------------------------------------------------------
+
+    def tick(self, now: float) -> Output:
+        """Offset for now. The step since the tick before is never above the rate limit times the period."""
+        period = self.settings.period
+        dt = period if self._last_tick is None else now - self._last_tick
+        self._last_tick = now
+        self.counts.ticks += 1
+        self.counts.late += dt > 2.0 * period
+        finding: Finding | None = self.watchdog.finding(now, self._wrench)
+        if finding is None and self.deflection is not None:
+            u, turn = self.deflection(self._q, self._wrench[:3], self._wrench[3:], min(max(dt, 0.0), period), self._rail)
+            self._u, self._R_tool = u, self.deflection.R_tool
+            wanted = np.concatenate([-u, -turn if self.settings.with_rotation else np.zeros(3)])
+            self._wanted = self._ahead.step(wanted, dt)
+        elif finding is not None:
+            self._ahead.reset()
+        target = self.supervisor.tick(now, finding, self._wanted, self.present)
+        self.counts.limited += self.limiter.step(target[:3], target[3:], dt)
+        self.counts.held += self.supervisor.state is State.HOLD
+        return Output(
+            self.limiter.translation.value, self.limiter.rotation.value, self._u, self._wrench, self._R_tool,
+            self.supervisor.state, self.supervisor.reason,
+        )  # fmt: skip
+
+
+class _Lead:
+    """Extrapolation of the wanted offset by a known delay, along its smoothed rate."""
+
+    def __init__(self, lead: float, smoothing: float, limit: float) -> None:
+        self._lead, self._smoothing, self._limit = lead, smoothing, limit
+        self.reset()
+
+    def reset(self) -> None:
+        self._before: Array | None = None
+        self._rate = np.zeros(6)
+
+    def step(self, wanted: Array, dt: float) -> Array:
+        if self._lead <= 0.0:
+            return wanted
+        if self._before is not None and dt > 0.0:
+            self._rate = self._rate + (1.0 - math.exp(-dt / self._smoothing)) * ((wanted - self._before) / dt - self._rate)
+        self._before = wanted
+        return wanted + np.clip(self._lead * self._rate, -self._limit, self._limit)
