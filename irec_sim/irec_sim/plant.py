@@ -229,12 +229,7 @@ class Plant:
             c[:, self.axial[1]] = 1.0 / (1.0 / c[:, self.axial[1]] + parallel)
         return c
 
-    def _held(self, torque_axial: Array, held: Array) -> Array:
-        """Torque of the friction elements' springs after the torque has become torque_axial (play operator)."""
-        t = torque_axial[..., None]
-        return np.clip(held, t - self._slip, t + self._slip)
-
-    def strain(self, torque: Array, c: Array, state: State) -> Array:
+    def _strain(self, torque: Array, c: Array, held: Array, delayed: Array) -> Array:
         """phi: elastic coordinates (n, dof) under the torques (n, dof)."""
         par, has = self.parameters, self._has
         e = c * torque
@@ -246,13 +241,13 @@ class Plant:
             soft = par.soft_zone * par.axial * par.soft_torque * np.tanh(axial / par.soft_torque)
             extra = soft if extra is None else extra + soft
         if has["friction"]:
-            wound = (self._play * self._held(axial, state.held)).sum(axis=2)
+            wound = (self._play * held).sum(axis=2)
             extra = wound if extra is None else extra + wound
         if has["coupling"]:
             coupled = axial @ par.coupling
             extra = coupled if extra is None else extra + coupled
         if has["creep"]:
-            extra = state.delayed if extra is None else extra + state.delayed
+            extra = delayed if extra is None else extra + delayed
         if extra is not None:
             e[:, self.axial] += extra
         if self.has_tool:
@@ -294,23 +289,36 @@ class Plant:
         """
         c = self.compliance(q, conditions)
         e = state.e
-        now = state
-        decay = np.exp(-np.broadcast_to(np.asarray(dt, dtype=float), (len(q),)) / self.parameters.creep_time)[:, None]
         for _ in range(80):
             f = self.frames(q, e)
-            torque = f.weight_torque + self.load_torque(f, conditions, q)
-            if self._has["creep"]:
-                final = self.parameters.creep * self.parameters.axial * torque[:, self.axial]
-                now = replace(state, delayed=final + (state.delayed - final) * decay)
-            e_next = self.strain(torque, c, now)
-            change = np.abs(e_next - e).max()
-            e = e_next
+            after, torque = self.respond(f, q, conditions, state, c, dt)
+            change = np.abs(after.e - e).max()
+            e = after.e
             if change < tolerance:
-                break
-        else:
-            raise SimError(f"no static equilibrium: elastic coordinates still change by {change:.1e} after 80 iterations")
-        held = self._held(torque[:, self.axial], state.held) if self._has["friction"] else state.held
-        return State(e, held, now.delayed), f
+                return after, f
+        raise SimError(f"no static equilibrium: elastic coordinates still change by {change:.1e} after 80 iterations")
+
+    def respond(
+        self, frames: Frames, q: Array, conditions: Conditions, state: State, c: Array, dt: float | Array
+    ) -> tuple[State, Array]:
+        """phi(tau) with tau taken at a given configuration: one iteration of `equilibrium`.
+
+        Args:
+            state: memory at the beginning; c: from `compliance`; dt: s under this load.
+
+        Returns:
+            the state that follows and the torques, (n, dof).
+        """
+        torque = frames.weight_torque + self.load_torque(frames, conditions, q)
+        axial = torque[:, self.axial]
+        delayed, held = state.delayed, state.held
+        if self._has["creep"]:
+            decay = np.exp(-np.broadcast_to(np.asarray(dt, dtype=float), (len(q),)) / self.parameters.creep_time)[:, None]
+            final = self.parameters.creep * self.parameters.axial * axial
+            delayed = final + (delayed - final) * decay
+        if self._has["friction"]:
+            held = np.clip(held, axial[..., None] - self._slip, axial[..., None] + self._slip)
+        return State(self._strain(torque, c, held, delayed), held, delayed), torque
 
     def deflection(self, q: Array, force_in_base: Array) -> Array:
         """Change of the TCP from the relaxed arm to the one under the force, (n, 3) m in base_link: the basic experiment."""

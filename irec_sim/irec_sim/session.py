@@ -71,7 +71,7 @@ def generate(cell: CellFile, truth: Truth, poses: int, seed: int, repeats: int =
         schedule = make_schedule(cell, where, start, rng)
         start = float(schedule.stamp[-1, -1])
         rows = simulate(cell, physics, schedule)
-        sigma = cell.noise["tracker_m"] + cell.noise["tracker_m_per_m"] * rows.distance
+        sigma = np.hypot(cell.noise["tracker_m"], cell.noise["tracker_m_per_m"] * rows.distance)
         marker = rows.p_marker + rng.standard_normal(rows.p_marker.shape) * sigma[..., None]
         marker += rng.normal(0.0, cell.noise.get("settling_m", 0.0), marker.shape)
         out.schedules.append(schedule)
