@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..observe import Observation
 from ..typing import Array
 from . import style
 
@@ -61,15 +60,15 @@ def predicted_against_measured(measured: Array, predicted: Array, path: str | Pa
     return style.save(figure, path)
 
 
-def residual_maps(observation: Observation, residuals: Sequence[Array], titles: Sequence[str], path: str | Path) -> Path:
+def residual_maps(p_tcp: Array, residuals: Sequence[Array], titles: Sequence[str], path: str | Path) -> Path:
     """Residuals at the TCP positions, seen along the direction of least extent, before and after on the same scale.
 
     Args:
+        p_tcp: TCP of each sample in base_link, (m, 3), m.
         residuals: (m, 3) each, m; one panel each.
     """
     plt = style.pyplot()
-    p = observation.scene.p_tcp[observation.rows]
-    centred = p - p.mean(axis=0)
+    centred = p_tcp - p_tcp.mean(axis=0)
     _, _, directions = np.linalg.svd(centred, full_matrices=False)
     across = directions[:2] * np.sign(directions[:2].sum(axis=1, keepdims=True))
     xy = centred @ across.T
