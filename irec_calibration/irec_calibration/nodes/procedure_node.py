@@ -255,10 +255,9 @@ class ProcedureNode(Node):
         content = {
             "kind": event.kind, "pose": event.pose, "repeat": event.repeat, "load_case": event.load_case, "text": event.text
         }  # fmt: skip
-        message = String(data=json.dumps(content))
         if self._recorder is not None:
-            self._recorder.write_event(serialize_message(message), self.get_clock().now().nanoseconds)
-        self._events.publish(message)
+            self._recorder.write_event(content, self.get_clock().now().nanoseconds)
+        self._events.publish(String(data=json.dumps(content)))
         if event.kind in ("skipped", "rejected", "stopped"):
             self.get_logger().warning(f"{event.kind}: pose {event.pose}, load case {event.load_case}: {event.text}")
 

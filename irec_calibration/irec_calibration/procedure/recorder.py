@@ -17,7 +17,7 @@ from ..errors import SessionError
 from ..recording import BagReader, BagWriter, TypeCatalogue
 from ..session import record_message
 from ..session.header import FORMAT
-from ..session.mcap_io import EVENT_TOPIC, EVENT_TYPE, attach_session
+from ..session.mcap_io import attach_session
 
 
 def session_header(cell: Cell, name: str) -> dict[str, Any]:
@@ -84,14 +84,14 @@ class SessionRecorder:
             os.replace(target, path)
             self.bag.path = path
         self._rows = self.bag.add_topic(record_message.TOPIC, record_message.TYPE)
-        self._events = self.bag.add_topic(EVENT_TOPIC, EVENT_TYPE)
+        self._events = self.bag.add_topic(record_message.EVENT_TOPIC, record_message.EVENT_TYPE)
 
     def _copy(self, old: BagReader, cell: Cell) -> None:
         last = 0.0
         for message in old.messages():
             channel = self.bag.add_topic(message.topic.name, message.topic.type_name)
             self.bag.write(channel, message.data, message.log_time, message.publish_time)
-            if message.topic.name == EVENT_TOPIC:
+            if message.topic.name == record_message.EVENT_TOPIC:
                 event = json.loads(old.decode(message).data)
                 if event["kind"] == "complete":
                     self.done.add((int(event["pose"]), int(event["repeat"])))
@@ -109,9 +109,9 @@ class SessionRecorder:
         """One serialized LoadCaseRecord."""
         self.bag.write(self._rows, data, log_time)
 
-    def write_event(self, data: bytes, log_time: int) -> None:
-        """One serialized std_msgs/String with the event as JSON."""
-        self.bag.write(self._events, data, log_time)
+    def write_event(self, event: dict[str, Any], log_time: int) -> None:
+        """What happened beside the rows: kind, pose, repeat, load_case, text."""
+        self.bag.write(self._events, record_message.encode_event(json.dumps(event)), log_time)
 
     def add_topic(self, topic: str, type_name: str) -> int:
         """Register a raw topic."""

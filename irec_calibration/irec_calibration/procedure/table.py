@@ -32,7 +32,8 @@ STATES = {
     for state in (
         # fmt: off
         #     state             lines     on entry               else            left when -> for
-        State("idle",           "1-2",    "nothing",             "",             (("nothing_to_do", "finished"), ("started", "home"))),
+        State("idle",           "1-2",    "nothing",             "",             (("nothing_to_do", "finished"),
+                                                                                  ("started", "home"))),
         State("home",           "3-4",    "move_home",           "stop",         (("moved", "approach"),)),
         State("approach",       "5",      "move_to_approach",    "next_pose",    (("moved", "advance"),)),
         State("advance",        "6-7",    "move_to_reference",   "skip_pose",    (("moved", "reference"),)),
@@ -45,7 +46,8 @@ STATES = {
                                                                                   ("always", "position_mode"))),
         State("position_mode",  "24",     "switch_to_position",  "failed",       (("switched", "retract"),)),
         State("retract",        "25",     "move_to_retract",     "failed",       (("moved", "next_pose"),)),
-        State("next_pose",      "26-27",  "count_pose",          "",             (("ending", "finished"), ("no_pose_left", "finished"),
+        State("next_pose",      "26-27",  "count_pose",          "",             (("ending", "finished"),
+                                                                                  ("no_pose_left", "finished"),
                                                                                   ("pausing", "paused"), ("always", "home"))),
         State("paused",         "-",      "nothing",             "",             (("ending", "finished"), ("resumed", "home"))),
         State("failed",         "-",      "give_up",             "",             (("always", "finished"),)),

@@ -23,8 +23,6 @@ from .data import Session
 from .header import FORMAT, Header, parse_header
 from .table import XYZ, Columns, columns_of, session_from_columns
 
-EVENT_TOPIC = "/irec/procedure/event"
-EVENT_TYPE = "std_msgs/msg/String"
 
 
 class _MessageColumns(Columns):

@@ -13,6 +13,8 @@ from ..recording import TypeCatalogue
 
 TYPE = "irec_msgs/msg/LoadCaseRecord"
 TOPIC = "/irec/procedure/load_case"
+EVENT_TYPE = "std_msgs/msg/String"
+EVENT_TOPIC = "/irec/procedure/event"  # JSON: kind, pose, repeat, load_case, text
 
 _FIELDS = {
     "irec_msgs/LoadCaseRecord": """\
@@ -44,10 +46,12 @@ float64 force_std
 
 
 class Catalogue(TypeCatalogue):
-    """Stands in for the catalogue of installed interface packages, for this one type."""
+    """Stands in for the catalogue of installed interface packages, for what a session needs."""
 
     def definition(self, type_name: str) -> str:
-        """Concatenated definition (ros2msg)."""
+        """Concatenated definition (ros2msg). KeyError for another type."""
+        if type_name == EVENT_TYPE:
+            return "string data\n"
         if type_name != TYPE:
             raise KeyError(type_name)
         head, *rest = _FIELDS
@@ -94,6 +98,13 @@ class _Cdr:
     def numbers(self, values: Sequence[float]) -> None:
         self.u32(len(values))
         self.f64(*values)
+
+
+def encode_event(text: str) -> bytes:
+    """One std_msgs/String in CDR."""
+    cdr = _Cdr()
+    cdr.text(text)
+    return bytes(cdr.data)
 
 
 def encode(
