@@ -32,6 +32,7 @@ def norms_per_sample(commanded: Array, residual: Array, floor: float, path: str 
     top.legend(loc="upper right", ncols=2)
     bottom.bar(x, 1e6 * np.linalg.norm(residual, axis=1), color=style.BLUE, width=1.0)
     bottom.axhline(1e6 * floor, color=style.GREY, ls="--", label=style.NOISE_LABEL)
+    bottom.set_ylim(0, 1.25 * max(1e6 * np.linalg.norm(residual, axis=1).max(), 1e6 * floor))
     bottom.set_ylabel("residual [um]")
     bottom.set_xlabel("sample (load cases of one pose side by side)")
     bottom.legend(loc="upper right")
@@ -83,6 +84,7 @@ def residual_maps(p_tcp: Array, residuals: Sequence[Array], titles: Sequence[str
                   clim=(0, 1e6 * largest))  # fmt: skip
         dots = ax.scatter(*xy[order].T, c=size[order], s=14, cmap="viridis", vmin=0, vmax=1e6 * largest)
         ax.set_title(f"{title}: {1e6 * np.sqrt((r**2).sum(axis=1).mean()):.1f} um rms")
+        ax.margins(0.15)
         ax.set_aspect("equal", adjustable="box")
         ax.set_xlabel("along the surface [m]")
     axes[0][0].set_ylabel("across [m]")
