@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-
 from irec_calibration.errors import RecordingError
 from irec_calibration.recording import BagReader, BagWriter, TypeCatalogue
 from irec_calibration.recording.survey import survey

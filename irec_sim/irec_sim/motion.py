@@ -129,17 +129,20 @@ def linear_move(chain: Chain, q: Array, rail: float, p_goal: Array, R_goal: Arra
                 f"{1e3 * share[k - 1] * length:.0f} mm: out of reach, singular or beyond a joint limit"
             )
         angles.append(found[0])
-    table = np.array(angles)
     equivalent = max(length, angle * 0.5)  # a pure turn runs as if its points were 0.5 m from the TCP
-    way = Way(equivalent, speed)
-    last = knots - 1
+    return table_move(np.array(angles), rail, equivalent, speed)
+
+
+def table_move(q: Array, rail: float, length: float, speed: float) -> Move:
+    """Along joint angles q (k, n) at equal steps of a path of given length (m), cubic between them; speed in m/s."""
+    last = len(q) - 1
 
     def at(s: float) -> tuple[Array, float]:
-        x = last * (s / equivalent if equivalent > 0 else 1.0)
+        x = last * (s / length if length > 0 else 1.0)
         k = min(int(x), last - 1)
-        return _cubic(table, k, x - k), rail
+        return _cubic(q, k, x - k), rail
 
-    return Move(way, at)
+    return Move(Way(length, speed), at)
 
 
 def _cubic(table: Array, k: int, u: float) -> Array:

@@ -71,7 +71,7 @@ class BagWriter:
         self._catalogue = catalogue or TypeCatalogue()
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(self.path, "xb")  # noqa: SIM115 - closed by the writing thread
+            self._file = open(self.path, "xb")
         except FileExistsError:
             raise RecordingError(f"{self.path} exists; recordings are never overwritten: choose another name") from None
         except OSError as error:
@@ -200,7 +200,7 @@ class BagWriter:
             with self._lock:
                 self._drain()
                 self._writer.finish()
-        except Exception as error:  # noqa: BLE001 - handed on to the caller by _check and close
+        except Exception as error:
             self._error = error
         finally:
             try:

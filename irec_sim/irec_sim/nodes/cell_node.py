@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+import math
 import sys
+import threading
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 import rclpy
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped, Vector3, WrenchStamped
-from irec_msgs.msg import RobotState
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -20,11 +23,17 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 
+from irec_msgs.msg import RobotState
+
+from ..cell import Cell
+from ..cellfile import read_cell
 from ..errors import SimError
+from ..instruments import Delay, InstrumentSettings
 from ..kinematics import quaternion_of_rotation
+from ..truth import make_truth, read_truth
+from .course_side import CourseSide
 from .followers import Followers
 from .loop import SimulationLoop
-from .plant import Plant
 from .robot_side import RobotSide
 from .streams import LATCHED_QOS, SENSOR_QOS, Stream, Streams, ros_time
 
@@ -45,21 +54,25 @@ MODE_NAMES = {RobotState.MODE_POSITION: "position", RobotState.MODE_FORCE: "forc
 class CellNode(Node):
     """Robot, force sensor and tracker of a cell on the topics of the README."""
 
-    def __init__(self, make_plant: Callable[[Node], Plant]) -> None:
+    def __init__(self) -> None:
         super().__init__("cell")
-        speed = self._number("speed_factor", 1.0, "simulated seconds per second of the machine's clock, > 0; can be set at any time")
+        speed = self._number("speed_factor", 1.0, "simulated seconds per real second, > 0; can be set at any time")
         max_lead = self._number("max_lead", 0.25, "simulated s that the cell may be ahead of its slowest follower")
         rail_speed = self._number("rail_speed", 1.0, "velocity limit of the rail, m/s")
         rates = {
             name: self._number(f"rate.{name}", rate, f"publications of {name} per simulated second, Hz; 0: never")
             for name, rate in RATES.items()
         }
-        self.plant = plant = make_plant(self)
+        self.settings = self._instruments()
+        self.cell = cell = self._make_cell(self.settings)
         self.followers = Followers(self, max_lead)
-        self.loop = SimulationLoop(self._step, plant.period, speed, lambda: self.followers.may_go_on(plant.time))
-        self.robot = RobotSide(self, plant, self.loop, rail_speed)
+        self.loop = SimulationLoop(self._step, cell.period, speed, lambda: self.followers.may_go_on(cell.time))
+        self.robot = RobotSide(self, cell, self.loop, rail_speed)
+        self.course: CourseSide | None = None
+        self._force_lag = cell.period * math.ceil(self.settings.force_delay / cell.period - 1e-9)
+        self._tracker_stamps: Delay[Time] = Delay(self.settings.tracker_delay)
         self._mode: int | None = None
-        self._joints = JointState(name=[*plant.chain.joint_names, *plant.rail_names])
+        self._joints = JointState(name=[*cell.chain.joint_names, *cell.rail_names])
         self._pose = PoseStamped()
         self._pose.header.frame_id = "base_link"
         self._wrench, self._raw = WrenchStamped(), WrenchStamped()
@@ -79,20 +92,22 @@ class CellNode(Node):
                 Stream(rates["diagnostics"], self._sender(DiagnosticArray, "diagnostics", self._diagnostics)),
                 Stream(rates["clock"], self._sender(Clock, "/clock", lambda: Clock(clock=self._now))),
             ],
-            plant.period,
+            cell.period,
         )
         description = self.create_publisher(String, "robot_description", LATCHED_QOS)
-        description.publish(String(data=plant.chain.text))
-        self._now = ros_time(plant.time)
+        description.publish(String(data=cell.chain.text))
+        self._now = ros_time(cell.time)
         self.add_on_set_parameters_callback(self._on_parameters)
 
     def _step(self) -> None:
         self.robot.before_step()
-        self.plant.step()
-        self._now = ros_time(self.plant.time)
-        if self.plant.mode != self._mode:
-            self._mode = self.plant.mode
+        self.cell.step()
+        self._now = ros_time(self.cell.time)
+        if self.cell.mode != self._mode:
+            self._mode = self.cell.mode
             self._send_state()
+        if self.course is not None:
+            self.course.after_step()
         self._streams.after_step()
 
     def _sender(self, message_class: type, topic: str, fill: Callable[[], Any]) -> Callable[[], None]:
@@ -106,13 +121,13 @@ class CellNode(Node):
         return send
 
     def _fill_joints(self) -> JointState:
-        q, rail = self.plant.joints()
+        q, rail = self.cell.joints()
         self._joints.header.stamp = self._now
-        self._joints.position = [*q.tolist(), *([float(rail)] if self.plant.rail_names else [])]
+        self._joints.position = [*q.tolist(), *([float(rail)] if self.cell.rail_names else [])]
         return self._joints
 
     def _fill_pose(self) -> PoseStamped:
-        p, R = self.plant.tcp()
+        p, R = self.cell.tcp()
         message = self._pose
         message.header.stamp = self._now
         position, orientation = message.pose.position, message.pose.orientation
@@ -121,28 +136,33 @@ class CellNode(Node):
         return message
 
     def _fill_wrench(self) -> WrenchStamped:
-        return self._filled(self._wrench, self.plant.wrench())
+        return self._filled(self._wrench, self.cell.wrench())
 
     def _fill_raw(self) -> WrenchStamped:
-        return self._filled(self._raw, self.plant.wrench_raw())
+        return self._filled(self._raw, self.cell.wrench_raw())
 
     def _filled(self, message: WrenchStamped, values: Any) -> WrenchStamped:
-        message.header.stamp = self._now
+        message.header.stamp = self._force_stamp()
         force, torque = message.wrench.force, message.wrench.torque
         force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
         return message
 
+    def _force_stamp(self) -> Time:
+        """Of the reading, which came out of the sensor `force_delay` ago."""
+        return ros_time(max(self.cell.time - self._force_lag, 0.0)) if self._force_lag else self._now
+
     def _fill_point(self) -> PointStamped | None:
-        reading = self.plant.tracker()
+        reading = self.cell.tracker()
+        stamp = self._tracker_stamps.pass_through(self.cell.time, self._now)
         if reading is None:
             return None
         message = self._point
-        message.header.stamp, message.header.frame_id = self._now, reading[0]
+        message.header.stamp, message.header.frame_id = stamp, reading[0]
         message.point.x, message.point.y, message.point.z = reading[1].tolist()
         return message
 
     def _send_temperatures(self) -> None:
-        for name, value in self.plant.temperatures().items():
+        for name, value in self.cell.temperatures().items():
             if name not in self._publish_temperature:
                 self._publish_temperature[name] = self.create_publisher(Temperature, f"temperature/{name}", SENSOR_QOS).publish
             message = Temperature(temperature=float(value))
@@ -150,21 +170,21 @@ class CellNode(Node):
             self._publish_temperature[name](message)
 
     def _send_state(self) -> None:
-        x, y, z = self.plant.offset.tolist()
+        x, y, z = self.cell.offset.tolist()
         message = RobotState(
-            mode=int(self.plant.mode),
+            mode=int(self.cell.mode),
             in_motion=self.robot.in_motion,
             offset=Vector3(x=x, y=y, z=z),
-            late_offsets=int(self.plant.late_offsets),
+            late_offsets=int(self.cell.late_offsets),
         )
         message.header.stamp, message.header.frame_id = self._now, "base_link"
         self._publish_state(message)
 
     def _diagnostics(self) -> DiagnosticArray:
         values = {
-            "mode": MODE_NAMES[self.plant.mode],
+            "mode": MODE_NAMES[self.cell.mode],
             "in motion": str(self.robot.in_motion),
-            "late offsets": str(self.plant.late_offsets),
+            "late offsets": str(self.cell.late_offsets),
             "speed factor": f"{self.loop.speed:g}",
         }
         status = DiagnosticStatus(
@@ -178,8 +198,28 @@ class CellNode(Node):
         message.header.stamp = self._now
         return message
 
+    def _make_cell(self, settings: InstrumentSettings) -> Cell:
+        name = self._declared("cell", "afp", "cell file, or its name in config/cells")
+        truth_file = self._declared("truth", "", "truth file with hidden physics; empty: elastic with mild friction")
+        truth_seed = self._declared("truth_seed", 0, "draws the compliances and what a truth file leaves open")
+        seed = self._declared("seed", 1, "of all noise")
+        file = read_cell(name)
+        truth = read_truth(truth_file, file.name, truth_seed) if truth_file else make_truth(file.name, [], truth_seed)
+        return Cell(file, truth, seed, settings)
+
+    def _instruments(self) -> InstrumentSettings:
+        values = {}
+        for entry in fields(InstrumentSettings):
+            default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
+            value = self._declared(f"instruments.{entry.name}", default, "see irec_sim/instruments.py")
+            values[entry.name] = tuple(value) if isinstance(default, list) else value
+        return InstrumentSettings(**values)
+
+    def _declared(self, name: str, default: Any, description: str) -> Any:
+        return self.declare_parameter(name, default, ParameterDescriptor(description=description)).value
+
     def _number(self, name: str, default: float, description: str) -> float:
-        value = float(self.declare_parameter(name, default, ParameterDescriptor(description=description)).value)
+        value = float(self._declared(name, default, description))
         problem = _problem(name, value)
         if problem:
             raise SimError(problem)
@@ -204,21 +244,18 @@ def _problem(name: str, value: float) -> str:
     return "" if 0.0 < value < 1000.0 else f"parameter '{name}' is {value:g}; a number above 0 and below 1000 is needed"
 
 
-def run(make_plant: Callable[[Node], Plant]) -> int:
-    """Run the cell until SIGINT or SIGTERM; 2 where the plant can't be made."""
+def main() -> int:
+    """Run the cell until SIGINT or SIGTERM; 2 where a parameter or file is wrong."""
     rclpy.init()
     try:
-        node = CellNode(make_plant)
-        executor = EventsExecutor()
-        executor.add_node(node)
+        node = CellNode()
+        simulator = Node("simulator")
+        node.course = CourseSide(simulator, node.cell, node.loop, node.robot)
+        course_thread = threading.Thread(target=_spin, args=(simulator, node.loop), name="course", daemon=True)
         node.loop.start()
-        try:
-            while rclpy.ok() and node.loop.failure is None:
-                executor.spin_once(timeout_sec=0.5)
-        except (KeyboardInterrupt, ExternalShutdownException):
-            pass
-        finally:
-            node.loop.stop()
+        course_thread.start()
+        _spin(node, node.loop)
+        node.loop.stop()
         if node.loop.failure is not None:
             raise node.loop.failure
     except SimError as error:
@@ -227,3 +264,17 @@ def run(make_plant: Callable[[Node], Plant]) -> int:
     finally:
         rclpy.try_shutdown()
     return 0
+
+
+def _spin(node: Node, loop: SimulationLoop) -> None:
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        while rclpy.ok() and loop.failure is None:
+            executor.spin_once(timeout_sec=0.5)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+
+
+if __name__ == "__main__":
+    sys.exit(main())

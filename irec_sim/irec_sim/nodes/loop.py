@@ -60,7 +60,7 @@ class SimulationLoop:
                     time.sleep(ahead)
                 elif ahead < -MAX_BACKLOG:
                     due -= ahead
-        except BaseException as error:  # noqa: BLE001 - the node reports it and ends
+        except BaseException as error:
             self.failure = error
 
     def _serve_calls(self) -> None:
@@ -68,5 +68,5 @@ class SimulationLoop:
             function, future = self._calls.get()
             try:
                 future.set_result(function())
-            except Exception as error:  # noqa: BLE001 - belongs to the caller
+            except Exception as error:
                 future.set_exception(error)

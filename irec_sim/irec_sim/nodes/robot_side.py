@@ -10,41 +10,51 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import TransformStamped, WrenchStamped
-from irec_msgs.action import Move
-from irec_msgs.msg import RobotState
-from irec_msgs.srv import SetControlMode
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
+from irec_msgs.action import Move
+from irec_msgs.msg import RobotState
+from irec_msgs.srv import SetControlMode
+
+from ..cell import Cell
 from ..errors import SimError
 from ..kinematics import rotation_of_quaternion, rotation_vector
-from ..motion import joint_move, linear_move
 from ..motion import Move as Motion
+from ..motion import joint_move, linear_move
 from .loop import SimulationLoop
-from .plant import Plant
 
+ARRIVAL_TIME = 0.15  # s that the servo is given to arrive at the end of the way: ten of its time constants
 FEEDBACK_PERIOD = 0.1  # s of simulated time
 QUATERNION_TOLERANCE = 1e-3  # of the norm
 
 
 @dataclass
-class _Running:
+class Order:
+    """A move to be carried out; the callbacks run in the thread of the simulation.
+
+    Attributes:
+        cancelled: asked before each step. feedback: told the share of the way. ended: told the share when standing again.
+    """
+
     motion: Motion
-    since: float
-    handle: ServerGoalHandle
-    ended: Future
+    cancelled: Callable[[], bool]
+    feedback: Callable[[float], None]
+    ended: Callable[[float], None]
+    since: float = 0.0
     told: float = 0.0
 
 
 class RobotSide:
     """Commands from topics, services and actions, carried to the plant between its steps."""
 
-    def __init__(self, node: Node, plant: Plant, loop: SimulationLoop, rail_speed: float) -> None:
-        self._node, self._plant, self._loop, self._rail_speed = node, plant, loop, rail_speed
-        self._running: _Running | None = None
+    def __init__(self, node: Node, cell: Cell, loop: SimulationLoop, rail_speed: float) -> None:
+        """rail_speed: velocity limit of the rail, m/s."""
+        self._node, self._cell, self._loop, self.rail_speed = node, cell, loop, rail_speed
+        self._running: Order | None = None
         depth = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
         self._action = ActionServer(
             node,
@@ -66,17 +76,27 @@ class RobotSide:
         run = self._running
         if run is None:
             return
-        t = self._plant.time + self._plant.period - run.since
-        if run.handle.is_cancel_requested:
+        t = self._cell.time + self._cell.period - run.since
+        if run.cancelled():
             run.motion.way.stop(t)
-        self._plant.command(*run.motion.at(run.motion.way.distance(t)))
+        self._cell.command(*run.motion.at(run.motion.way.distance(t)))
         fraction = run.motion.fraction(t)
         if t - run.told >= FEEDBACK_PERIOD:
             run.told = t
-            run.handle.publish_feedback(Move.Feedback(fraction=float(fraction)))
-        if run.motion.way.done(t):
+            run.feedback(fraction)
+        if run.motion.way.done(t - ARRIVAL_TIME):
             self._running = None
-            run.ended.set_result(fraction)
+            run.ended(fraction)
+
+    def begin(self, order: Order) -> None:
+        """Start a move; from any thread. SimError in force control or while another move is under way."""
+
+        def start() -> None:
+            self._refuse_unless_free()
+            order.since = self._cell.time
+            self._running = order
+
+        self._loop.call(start)
 
     async def _execute(self, handle: ServerGoalHandle) -> Move.Result:
         try:
@@ -94,19 +114,22 @@ class RobotSide:
     def _start(self, handle: ServerGoalHandle) -> Future:
         self._refuse_unless_free()
         goal: Move.Goal = handle.request
-        start = self._loop.call(lambda: self._plant.commanded)
+        start = self._loop.call(lambda: self._cell.commanded)
         motion = self._joint(goal, start) if goal.kind == Move.Goal.JOINT else self._linear(goal, start)
         ended: Future = Future()
-
-        def begin() -> None:
-            self._refuse_unless_free()
-            self._running = _Running(motion, self._plant.time, handle, ended)
-
-        self._loop.call(begin)
+        order = Order(
+            motion,
+            cancelled=lambda: bool(handle.is_cancel_requested),
+            feedback=lambda fraction: handle.publish_feedback(Move.Feedback(fraction=float(fraction))),
+            ended=ended.set_result,
+        )
+        self.begin(order)
         return ended
 
     def _refuse_unless_free(self) -> None:
-        if self._plant.mode != RobotState.MODE_POSITION:
+        if self._cell.mode == RobotState.MODE_FAULT:
+            raise SimError("the robot is in fault; only the operator can clear it")
+        if self._cell.mode != RobotState.MODE_POSITION:
             raise SimError("moves are refused in force control; switch to position control first")
         if self._running is not None:
             raise SimError("another move is under way; cancel it first")
@@ -117,20 +140,20 @@ class RobotSide:
         if len(goal.joint_names) != len(goal.joint_position):
             raise SimError(f"{len(goal.joint_names)} joint names with {len(goal.joint_position)} positions")
         wanted = dict(zip(goal.joint_names, goal.joint_position, strict=True))
-        names = self._plant.chain.joint_names
+        names = self._cell.chain.joint_names
         for name, value in wanted.items():
-            if name not in names and name not in self._plant.rail_names:
-                known = ", ".join((*names, *self._plant.rail_names))
+            if name not in names and name not in self._cell.rail_names:
+                known = ", ".join((*names, *self._cell.rail_names))
                 raise SimError(f"joint '{name}' is not known; this robot has {known}")
             if not math.isfinite(value):
                 raise SimError(f"position of {name} is {value}, a finite number is needed")
         q, rail = start
         target = np.array([wanted.get(name, q[k]) for k, name in enumerate(names)])
-        goal_rail = float(next((wanted[name] for name in self._plant.rail_names if name in wanted), rail))
-        low, high = self._plant.rail_range
+        goal_rail = float(next((wanted[name] for name in self._cell.rail_names if name in wanted), rail))
+        low, high = self._cell.rail_range
         if not low <= goal_rail <= high:
             raise SimError(f"the rail can't go to {goal_rail} m: its range is {low} to {high} m")
-        return joint_move(self._plant.chain, start, (target, goal_rail), goal.speed, self._rail_speed)
+        return joint_move(self._cell.chain, start, (target, goal_rail), goal.speed, self.rail_speed)
 
     def _linear(self, goal: Move.Goal, start: tuple[np.ndarray, float]) -> Motion:
         if goal.kind != Move.Goal.LINEAR:
@@ -141,7 +164,7 @@ class RobotSide:
         p_goal, quaternion = np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
         if not np.isfinite(p_goal).all() or abs(np.linalg.norm(quaternion) - 1.0) > QUATERNION_TOLERANCE:
             raise SimError(f"pose {p_goal}, {quaternion} is no pose: finite numbers and a unit quaternion are needed")
-        return linear_move(self._plant.chain, *start, p_goal, rotation_of_quaternion(quaternion), goal.speed)
+        return linear_move(self._cell.chain, *start, p_goal, rotation_of_quaternion(quaternion), goal.speed)
 
     def _on_mode(self, request: SetControlMode.Request, response: SetControlMode.Response) -> SetControlMode.Response:
         f = request.force_in_tool
@@ -151,9 +174,9 @@ class RobotSide:
             if self._running is not None:
                 raise SimError("a move is under way; cancel it before switching the control mode")
             if request.mode == SetControlMode.Request.FORCE:
-                self._plant.control_force(_finite(force, "first set point"))
+                self._cell.control_force(_finite(force, "first set point"))
             elif request.mode == SetControlMode.Request.POSITION:
-                self._plant.control_position()
+                self._cell.control_position()
             else:
                 raise SimError(f"control mode {request.mode} is not known; 0 is POSITION, 1 is FORCE")
 
@@ -171,7 +194,7 @@ class RobotSide:
         f = message.wrench.force
         force = np.array([f.x, f.y, f.z])
         try:
-            self._loop.call(lambda: self._plant.set_force(_finite(force, "force set point")))
+            self._loop.call(lambda: self._cell.set_force(_finite(force, "force set point")))
         except SimError as error:
             self._node.get_logger().warning(f"force set point ignored: {error}", throttle_duration_sec=5.0)
 
@@ -185,7 +208,7 @@ class RobotSide:
             return
         turn = rotation_vector(rotation_of_quaternion(quaternion))
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        self._loop.call(lambda: self._plant.set_offset(translation, turn, stamp))
+        self._loop.call(lambda: self._cell.set_offset(translation, turn, stamp))
 
 
 def _finite(force: np.ndarray, what: str) -> np.ndarray:

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`sim/run_course`: drives the loaded course of the cell and writes where the TCP really was."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from ..cell import Cell
+from ..course import RAMP_TIME, CoursePlan, CourseSample, plan_course, write_course
+from ..errors import SimError
+from ..kinematics import Array, forward
+from ..motion import Move, joint_move, linear_move, table_move
+from .loop import SimulationLoop
+from .robot_side import Order, RobotSide
+
+SPEED_SHARE = 0.25  # of the joint velocity limits, to the start of the course
+LINEAR_SPEED = 0.1  # m/s, from above the start onto it, and back at the end
+SETTLING_TIME = 1.0  # s that the robot stands after the force has come or gone
+SAMPLE_STEPS = 5  # steps of the cell between samples of the record
+
+
+class CourseSide:
+    """Serves on a node of its own, so that the cell goes on listening while the course is being driven."""
+
+    def __init__(self, node: Node, cell: Cell, loop: SimulationLoop, robot: RobotSide) -> None:
+        self._node, self._cell, self._loop, self._robot = node, cell, loop, robot
+        description = "file that sim/run_course writes the true path of the TCP to; can be set at any time"
+        node.declare_parameter("course_csv", "course.csv", ParameterDescriptor(description=description))
+        node.create_service(Trigger, "sim/run_course", self._on_run)
+        self._plan: CoursePlan | None = None
+        self._order: Order | None = None
+        self._way = self._level = self._direction = 0.0
+        self._until = 0.0
+        self._settled = threading.Event()
+        self._samples: list[CourseSample] = []
+        self._steps = 0
+
+    def after_step(self) -> None:
+        """Note the truth and apply the process force for the next step; in the thread of the simulation."""
+        plan, cell = self._plan, self._cell
+        if plan is None:
+            return
+        if self._order is not None:
+            self._way = self._order.motion.way.distance(cell.time - self._order.since)
+            self._steps += 1
+            if self._steps % SAMPLE_STEPS == 0:
+                self._samples.append(self._sample())
+        self._level = min(1.0, max(0.0, self._level + self._direction * cell.period / RAMP_TIME))
+        cell.set_process(self._level * plan.force(self._way))
+        if cell.time >= self._until:
+            self._settled.set()
+
+    def _sample(self) -> CourseSample:
+        cell = self._cell
+        p_true = cell.true_tcp()
+        return CourseSample(
+            stamp=cell.time,
+            s=self._way,
+            p_commanded=_tcp(cell, cell.commanded[0]),
+            p_unloaded=p_true - cell.true_deviation(),
+            p_true=p_true,
+            force_in_tool=cell.true_force(),
+            offset=cell.offset.copy(),
+        )
+
+    def _on_run(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message, response.success = str(self._run()), True
+        except SimError as error:
+            response.message, response.success = str(error), False
+        return response
+
+    def _run(self) -> Path:
+        path = Path(str(self._node.get_parameter("course_csv").value)).absolute()
+        cell = self._cell
+        plan = plan_course(cell.cell)
+        self._samples, self._way, self._steps = [], 0.0, 0
+        start = self._loop.call(lambda: cell.commanded)
+        self._drive(joint_move(cell.chain, start, (plan.q_approach, plan.rail), SPEED_SHARE, self._robot.rail_speed))
+        self._line(plan, plan.q_approach, _tcp(cell, plan.q[0]))
+        try:
+            self._loop.call(lambda: setattr(self, "_plan", plan))
+            self._press(+1.0)
+            self._drive(table_move(plan.q, plan.rail, plan.length, plan.speed), record=True)
+            self._press(-1.0)
+        finally:
+            self._loop.call(self._end)
+        self._line(plan, plan.q[-1], _tcp(cell, plan.q[-1]) + cell.cell.approach_distance * plan.normal[-1])
+        write_course(path, plan, self._samples)
+        return path
+
+    def _end(self) -> None:
+        self._plan = self._order = None
+        self._cell.set_process(None)
+
+    def _line(self, plan: CoursePlan, q: Array, p_goal: Array) -> None:
+        """Straight from joint angles q to a point in base_link, the tool as it is."""
+        R = forward(self._cell.chain, q[None]).R_tool[0]
+        self._drive(linear_move(self._cell.chain, q, plan.rail, p_goal, R, LINEAR_SPEED))
+
+    def _drive(self, motion: Move, record: bool = False) -> None:
+        """Carry out one move and wait for its end."""
+        done = threading.Event()
+        order = Order(motion, cancelled=lambda: False, feedback=lambda _: None, ended=lambda _: done.set())
+        self._robot.begin(order)
+        if record:
+            self._loop.call(lambda: setattr(self, "_order", order))
+        self._wait(done)
+        if record:
+            self._loop.call(lambda: setattr(self, "_order", None))
+
+    def _press(self, direction: float) -> None:
+        """Let the process force come (+1) or go (-1) and wait until it has, and the arm has settled."""
+
+        def begin() -> None:
+            self._direction = direction
+            self._until = self._cell.time + RAMP_TIME + SETTLING_TIME
+            self._settled.clear()
+
+        self._loop.call(begin)
+        self._wait(self._settled)
+
+    def _wait(self, done: threading.Event) -> None:
+        while not done.wait(0.2):
+            if self._loop.failure is not None or not rclpy.ok():
+                raise SimError("the simulation has ended")
+
+
+def _tcp(cell: Cell, q: Array) -> Array:
+    """tool0 in base_link by the rigid robot, (3,), m."""
+    p: Array = forward(cell.chain, q[None]).p_tcp[0]
+    return p

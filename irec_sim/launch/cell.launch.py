@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated cell, and a recorder of its topics where `record` names a folder.
+
+ros2 launch irec_sim cell.launch.py cell:=afp speed_factor:=4.0 record:=out/cell
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, PythonExpression
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+TOPICS = [
+    "joint_states",
+    "tcp_pose",
+    "wrench",
+    "wrench_raw",
+    "tracker/point",
+    "robot/state",
+    "robot_description",
+    "irec/offset",
+    "irec/correction/state",
+    "irec/procedure/status",
+    "irec/procedure/load_case",
+]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Arguments: see `ros2 launch irec_sim cell.launch.py --show-args`."""
+    value = LaunchConfiguration
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("cell", default_value="afp", description="cell file, or its name in config/cells"),
+            DeclareLaunchArgument("truth", default_value="", description="truth file with hidden effects; empty: elastic"),
+            DeclareLaunchArgument("speed_factor", default_value="1.0", description="simulated per real seconds"),
+            DeclareLaunchArgument("seed", default_value="1", description="of all noise"),
+            DeclareLaunchArgument("record", default_value="", description="folder to record to; empty: no recording"),
+            Node(
+                package="irec_sim",
+                executable="cell_node",
+                name="cell",
+                namespace="",
+                output="screen",
+                parameters=[
+                    {
+                        "cell": ParameterValue(value("cell"), value_type=str),
+                        "truth": ParameterValue(value("truth"), value_type=str),
+                        "speed_factor": ParameterValue(value("speed_factor"), value_type=float),
+                        "seed": ParameterValue(value("seed"), value_type=int),
+                    }
+                ],
+            ),
+            Node(
+                package="irec_calibration",
+                executable="recorder_node",
+                name="recorder",
+                namespace="",
+                output="screen",
+                condition=IfCondition(PythonExpression(["'", value("record"), "' != ''"])),
+                parameters=[
+                    {"output": ParameterValue(value("record"), value_type=str), "topics": TOPICS, "use_sim_time": True}
+                ],
+            ),
+        ]
+    )
