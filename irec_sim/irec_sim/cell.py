@@ -16,7 +16,7 @@ from .cellfile import CellFile
 from .contact import Contact, Disc, solve_contact
 from .errors import SimError
 from .instruments import Delay, InstrumentSettings, Noise
-from .kinematics import Array, forward
+from .kinematics import Array, Pose, forward, skew
 from .plant import Conditions, Plant
 from .sensing import AMBIENT, drift_at, force_reading, motor_angles, tracker_reading
 from .servo import ForceController, OffsetChannel, Servo
@@ -26,8 +26,11 @@ from .truth import Truth
 POSITION, FORCE, FAULT = 0, 1, 2  # MODE_ constants of irec_msgs/RobotState
 PERIOD = 0.004  # s
 _STANDING = 3e-4  # rad/s, below which the arm counts as standing
-_PASS_TOLERANCE = 2e-8  # rad and m, change of an elastic coordinate that calls for another pass
-_MAX_PASSES = 12
+_STILL = 1e-9  # rad, below which a free arm keeps the equilibrium it has
+_FORCE_TOLERANCE = 0.5  # N, change of the contact force in a pass that calls for another; 1 N is a micrometre
+_MAX_PASSES = 6
+_COLLISION = 8000.0  # N, at which the drives switch off
+_POSE_REUSE = 5e-4  # rad by which joints may turn before Jacobian and line of sight are computed again
 
 
 class Cell:
@@ -68,6 +71,12 @@ class Cell:
         self._setpoint = np.zeros(3)
         self._process: Array | None = None
         self._contact = Contact()
+        self._settled_at = np.full((1, cell.chain.n), np.inf)
+        self._pose: tuple[Array, Pose] | None = None
+        self._near: tuple[Array, Array, Array] | None = None
+        self._sight: tuple[Array, float, int | None] | None = None
+        self._gear_cache: tuple[float, Array] = (-math.inf, np.zeros(cell.chain.n))
+        self._cross_tcp, self._cross_com = skew(cell.chain.p_tcp), skew(cell.chain.tool_com)
         self._conditions = self._make_conditions(np.zeros(3))
         self._state = self._plant.relaxed(self._motor()[None], self._conditions)
         self._state, self._frames = self._plant.equilibrium(self._motor()[None], self._conditions, self._state)
@@ -89,19 +98,39 @@ class Cell:
         return self._channel.late
 
     def command(self, q: Array, rail: float) -> None:
-        """Set point of the position servo."""
+        """Set point of the position servo; ignored in fault."""
+        if self.mode == FAULT:
+            return
         self._q_command, self._rail_command = np.array(q, dtype=float), float(rail)
 
     def control_force(self, force: Array) -> None:
-        """Switch to force control along x, y, z of tool0 with this set point, N."""
+        """Switch to force control along x, y, z of tool0 with this set point, N.
+
+        Raises:
+            SimError: the robot is in fault.
+        """
+        self._refuse_in_fault()
         self._freeze()
         self._setpoint = np.array(force, dtype=float)
         self.mode = FORCE
 
     def control_position(self) -> None:
-        """Switch to position control where the robot is."""
+        """Switch to position control where the robot is.
+
+        Raises:
+            SimError: the robot is in fault.
+        """
+        self._refuse_in_fault()
         self._freeze()
         self.mode = POSITION
+
+    def clear_fault(self) -> None:
+        """What an operator does after a collision: drives on again, in position control."""
+        self.mode = POSITION
+
+    def _refuse_in_fault(self) -> None:
+        if self.mode == FAULT:
+            raise SimError(f"the robot is in fault: it met the tooling with more than {_COLLISION:.0f} N; the operator has to clear it")
 
     def set_force(self, force: Array) -> None:
         """New set point of the force controller, N.
@@ -145,18 +174,22 @@ class Cell:
     def _target(self) -> Array:
         if self.mode == FORCE:
             move = self._force_control.displacement(self._setpoint, self._wrench[:3], self.period)
-            pose = forward(self.chain, self._q_command[None])
-            twist = np.zeros(6)
-            twist[:3] = pose.R_tool[0] @ move
-            self._q_command = self._q_command + np.linalg.solve(pose.jacobian()[0], twist)
+            R, J_inverse = self._nearby()
+            self._q_command = self._q_command + J_inverse[:, :3] @ (R @ move)
             return self._q_command
         applied = self._channel.applied(self.time, self.period, self.mode == POSITION)
         self.offset = applied[:3]
         if not applied.any():
             return self._q_command
-        # undamped only away from singularities, where a correction would need large joint steps
-        J = forward(self.chain, self._q_command[None]).jacobian()[0]
-        return self._q_command + J.T @ np.linalg.solve(J @ J.T + 1e-8 * np.eye(6), applied)
+        return self._q_command + self._nearby()[1] @ applied
+
+    def _nearby(self) -> tuple[Array, Array]:
+        """Rotation of tool0 and inverse Jacobian (damped near singularities) at joint angles near the commanded ones."""
+        if self._near is None or float(np.abs(self._near[0] - self._q_command).max()) > _POSE_REUSE:
+            pose = forward(self.chain, self._q_command[None])
+            J = pose.jacobian()[0]
+            self._near = self._q_command, pose.R_tool[0], J.T @ np.linalg.inv(J @ J.T + 1e-8 * np.eye(6))
+        return self._near[1], self._near[2]
 
     def _notice_standing(self, before: Array) -> None:
         standing = float(np.abs(self._q - before).max()) < _STANDING * self.period
@@ -173,40 +206,52 @@ class Cell:
         return AMBIENT + size * math.sin(2.0 * math.pi * t / period + phase) + 2e-4 * t
 
     def _gears(self, t: float) -> Array:
-        return self._ambient(t) + 3.0 + self._rise * (1.0 - np.exp(-t / self._warm_time))
+        if t - self._gear_cache[0] > 1.0:
+            self._gear_cache = t, self._ambient(t) + 3.0 + self._rise * (1.0 - np.exp(-t / self._warm_time))
+        return self._gear_cache[1]
 
     def _make_conditions(self, force: Array) -> Conditions:
         on = self._process is not None or bool(force.any())
         return Conditions(force[None], np.array([self._rail]), self._gears(self.time)[None], np.array([on]))
 
     def _settle(self) -> None:
-        """Equilibrium of arm and contact at the new motor angles."""
+        """Equilibrium of arm and contact at the new motor angles.
+
+        The lever arms are those of the configuration that the step begins with: they change by 1e-6 of their length in a
+        step, and the next one starts from the new configuration.
+        """
         plant, q = self._plant, self._motor()[None]
+        free = self._process is None and not self._contact.touching
+        if free and not plant.creeps and float(np.abs(q - self._settled_at).max()) < _STILL:
+            return  # nothing pushes and nothing moves
+        self._settled_at = q
+        begin, force = self._state, self._force
+        frames = plant.frames(q, begin.e)
         in_cell = self._rail * self._rail_axis
-        begin, contact = self._state, self._contact
-        force = self._force
-        dt = self.period
-        for _ in range(_MAX_PASSES):
-            frames = plant.frames(q, self._state.e)
-            if self._process is not None:
-                force, after = frames.R_tool[0] @ self._process, Contact()
-            else:
+        after = Contact()
+        conditions = self._make_conditions(force)
+        c = plant.compliance(q, conditions)
+        if self._process is None:
+            compliance = plant.tcp_compliance(frames, c)[0]
+            for _ in range(_MAX_PASSES):
+                trial, _ = plant.respond(frames, q, conditions, begin, c, self.period)
+                p = frames.p_tcp[0] + (trial.e - begin.e)[0] @ frames.lever[0] + in_cell
+                answer, after = solve_contact(self._disc, self.cell.surface.gap, p - compliance @ force, compliance, self._contact, force)
+                change = float(np.abs(answer - force).max())
+                force = answer
+                if change < _FORCE_TOLERANCE:
+                    break
                 conditions = self._make_conditions(force)
-                c = plant.compliance(q, conditions)
-                trial, _ = plant.respond(frames, q, conditions, begin, c, dt)
-                compliance = plant.tcp_compliance(frames, c)[0]
-                p = frames.p_tcp[0] + (trial.e - self._state.e)[0] @ frames.lever[0]
-                p_free = p - compliance @ force + in_cell
-                force, after = solve_contact(self._disc, self.cell.surface.gap, p_free, compliance, contact, force)
+        else:
+            force = frames.R_tool[0] @ self._process
             conditions = self._make_conditions(force)
-            c = plant.compliance(q, conditions)
-            state, _ = plant.respond(frames, q, conditions, begin, c, dt)
-            change = float(np.abs(state.e - self._state.e).max())
-            self._state = state
-            if change < _PASS_TOLERANCE:
-                break
-        self._contact, self._force = after, force
-        self._frames, self._conditions = frames, conditions
+        self._state, _ = plant.respond(frames, q, conditions, begin, c, self.period)
+        self._contact, self._force, self._conditions = after, force, conditions
+        if math.sqrt(float(force @ force)) > _COLLISION and self.mode != FAULT:
+            self._freeze()
+            self.mode = FAULT
+        p_tcp = frames.p_tcp + (self._state.e - begin.e) @ frames.lever[0]
+        self._frames = replace(frames, p_tcp=p_tcp)
 
     # -- what is measured -------------------------------------------------------------------------------------------
 
@@ -218,11 +263,11 @@ class Cell:
         R_sensor = R[0] @ chain.R_tcp.T
         weight = R_sensor.T @ np.array([0.0, 0.0, -9.81 * chain.tool_mass])
         at_sensor = chain.R_tcp @ clean
-        raw = np.concatenate([at_sensor + weight, np.cross(chain.p_tcp, at_sensor) + np.cross(chain.tool_com, weight)])
+        raw = np.concatenate([at_sensor + weight, self._cross_tcp @ at_sensor + self._cross_com @ weight])
         raw += noise + np.array(self.settings.force_bias)
         wrench = np.concatenate([clean, np.zeros(3)])
         wrench[:3] += chain.R_tcp.T @ noise[:3]
-        wrench[3:] += chain.R_tcp.T @ (noise[3:] - np.cross(chain.p_tcp, noise[:3]))
+        wrench[3:] += chain.R_tcp.T @ (noise[3:] - self._cross_tcp @ noise[:3])
         both = self._force_delay.pass_through(self.time, np.concatenate([raw, wrench]))
         self._raw, self._wrench = both[:6], both[6:]
 
@@ -232,7 +277,9 @@ class Cell:
 
     def tcp(self) -> tuple[Array, Array]:
         """tool0 in base_link by the controller: position (3,), m, rotation (3, 3)."""
-        pose = forward(self.chain, self._q[None])
+        if self._pose is None or self._pose[0] is not self._q:
+            self._pose = self._q, forward(self.chain, self._q[None])
+        pose = self._pose[1]
         return pose.p_tcp[0], pose.R_tool[0]
 
     def wrench_raw(self) -> Array:
@@ -250,7 +297,10 @@ class Cell:
         """
         R = self._frames.R_tool[0]
         marker = self._drifted() + R @ (self.cell.marker_in_tool0 + self._sensing.marker_error) + self._rail * self._rail_axis
-        index = visible(self.cell, self._q, self._rail, marker)
+        moved = self._sight is None or np.abs(self._sight[0] - self._q).max() > _POSE_REUSE or abs(self._sight[1] - self._rail) > _POSE_REUSE
+        if moved:
+            self._sight = self._q, self._rail, visible(self.cell, self._q, self._rail, marker)
+        index = self._sight[2] if self._sight is not None else None
         reading: tuple[str, Array] | None = None
         if index is not None and not self._noise.drop_outs[index].silent(self.time):
             name, p_station, R_station = self.cell.stations[index]

@@ -20,6 +20,7 @@ Gap = Callable[[Array], tuple[float, Array]]
 
 RING_STIFFNESS = np.array([0.45, 0.30, 0.15, 0.10])  # share of the tangential stiffness
 RING_PRESSURE = np.array([0.60, 0.27, 0.09, 0.04])  # share of the normal force
+_EYE = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -56,25 +57,21 @@ def contact_force(disc: Disc, gap: Gap, p: Array, memory: Contact) -> tuple[Arra
     depth = -g
     pressure = disc.normal * depth * (1.0 + disc.hardening * depth)
     slope = disc.normal * (1.0 + 2.0 * disc.hardening * depth)
-    anchors = memory.anchors if memory.touching else np.tile(p, (len(RING_STIFFNESS), 1))
-    stretch = p - anchors
-    stretch -= (stretch @ n)[:, None] * n
     stiffness = disc.tangential * RING_STIFFNESS
-    size = np.sqrt((stretch * stretch).sum(axis=1))
+    stretch = p - memory.anchors if memory.touching else np.zeros_like(memory.anchors)
+    stretch = stretch - (stretch @ n)[:, None] * n
+    pull = stiffness * np.sqrt((stretch * stretch).sum(axis=1))
     limit = disc.friction * RING_PRESSURE * pressure
-    sliding = stiffness * size > limit
-    share = np.where(sliding, limit / np.maximum(stiffness * size, 1e-12), 1.0)
+    sliding = pull > limit
+    share = np.where(sliding, limit / np.maximum(pull, 1e-12), 1.0)
     held = share[:, None] * stretch  # spring of each ring after slipping
-    force = pressure * n - stiffness @ held
-    normal_part = np.outer(n, n)
-    across = np.eye(3) - normal_part
-    derivative = -slope * normal_part
-    derivative -= float((stiffness * share).sum()) * across
-    for i in np.flatnonzero(sliding):
-        direction = stretch[i] / size[i]
-        derivative += stiffness[i] * share[i] * np.outer(direction, direction)
-        derivative += disc.friction * RING_PRESSURE[i] * slope * np.outer(direction, n)
-    return force, derivative, Contact(p - held, True)
+    along = float(stiffness @ share)
+    derivative = (along - slope) * (n[:, None] * n) - along * _EYE
+    if sliding.any():
+        for i in np.flatnonzero(sliding):
+            direction = stretch[i] * (stiffness[i] / pull[i])
+            derivative += direction[:, None] * (stiffness[i] * share[i] * direction + disc.friction * RING_PRESSURE[i] * slope * n)
+    return pressure * n - stiffness @ held, derivative, Contact(p - held, True)
 
 
 def solve_contact(disc: Disc, gap: Gap, p_free: Array, compliance: Array, memory: Contact, start: Array) -> tuple[Array, Contact]:
@@ -88,12 +85,11 @@ def solve_contact(disc: Disc, gap: Gap, p_free: Array, compliance: Array, memory
         force on the robot (3,), N, and the memory after it.
     """
     force = start
-    eye = np.eye(3)
     for _ in range(25):
         answer, derivative, after = contact_force(disc, gap, p_free + compliance @ force, memory)
         residual = answer - force
         if np.abs(residual).max() < 1e-3:
             return answer, after
-        force = force + np.linalg.solve(eye - derivative @ compliance, residual)
+        force = force + np.linalg.solve(_EYE - derivative @ compliance, residual)
     # Newton alternates between two branches only where a ring is just about to slip: both are within that ring's force
     return answer, after

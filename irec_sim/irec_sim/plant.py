@@ -136,6 +136,11 @@ class Plant:
             "cable": bool(np.any(par.cable_in_base) or np.any(par.cable_in_tool) or np.any(par.cable_wrist)),
         }  # fmt: skip
 
+    @property
+    def creeps(self) -> bool:
+        """Whether the arm goes on deforming under a constant load."""
+        return self._has["creep"]
+
     # -- geometry and statics ---------------------------------------------------------------------------------------
 
     def frames(self, q: Array, e: Array) -> Frames:

@@ -35,7 +35,7 @@ class ForceController:
         lateral_onset: N of normal force before which lateral set points are not sought (there is nothing to push against).
     """
 
-    bandwidth: float = 6.0
+    bandwidth: float = 14.0
     stiffness: float = 7.0e5
     speed: float = 0.005
     lateral_onset: float = 60.0

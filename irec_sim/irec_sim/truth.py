@@ -32,8 +32,8 @@ EFFECTS: dict[str, TruthEffect] = {**CATALOGUE, **OUTSIDE}
 # rad/(N m): what published identifications of robots of these classes give, gears axially, links and bearings across
 _COMPLIANCE: dict[str, tuple[list[float], list[list[float]]]] = {
     "afp": (
-        [2.6e-7, 2.3e-7, 3.1e-7, 1.5e-6, 1.6e-6, 2.6e-6],
-        [[1.5e-8, 2.2e-8], [2.0e-8, 3.0e-8], [3.0e-8, 4.0e-8], [3.0e-7, 4.5e-7], [4.0e-7, 6.0e-7], [6.0e-7, 9.0e-7]],
+        [2.2e-7, 2.0e-7, 2.5e-7, 1.2e-6, 1.3e-6, 2.1e-6],
+        [[1.2e-8, 1.8e-8], [1.6e-8, 2.4e-8], [2.4e-8, 3.2e-8], [2.4e-7, 3.6e-7], [3.2e-7, 4.8e-7], [4.8e-7, 7.2e-7]],
     ),
     "milling": (
         [2.2e-7, 2.0e-7, 2.6e-7, 1.1e-6, 1.2e-6, 1.9e-6],
