@@ -18,9 +18,9 @@ class JointHysteresis(Effect):
     id = "joint_hysteresis"
     label = "joint hysteresis"
     physics = (
-        "Dry friction inside the gear lets part of the wind-up follow the torque only after it has turned by more than a threshold "
-        "(Prandtl-Ishlinskii play, history within a pose from the relaxed reference on). Missing, the same load reached from different "
-        "sides disagrees; repeats reveal it. In absolute sessions the sign of the last step decides."
+        "Dry friction inside the gear holds back a part of the wind-up, up to a threshold of torque, until the torque turns: "
+        "-J_k h_k stop(tau_k) (Prandtl-Ishlinskii, history within a pose from the relaxed reference on). Missing, the same load reached "
+        "from different sides disagrees; repeats reveal it. In absolute sessions the sign of the last step decides."
     )
     needs = ("order",)
 
@@ -55,7 +55,7 @@ class JointHysteresis(Effect):
         return (0.5 * scene.J * resolved[:, None, :])[:, :, scene.driven]
 
     def _columns(self, scene: Scene, fraction: float) -> Array:
-        """Displacement per unit of h_k: the part of the torque that has come through the play operator."""
+        """Displacement per unit of h_k: minus the part of the torque that friction holds (the stop operator)."""
         r = fraction * rated_torque(scene.robot)
         played = np.zeros_like(scene.tau)
         for i in np.lexsort((scene.load_case, scene.stamp)):
@@ -63,4 +63,4 @@ class JointHysteresis(Effect):
             # relaxed at the reference: the operator starts in the middle of its band, at zero process torque
             last = played[before] if before >= 0 else np.zeros(scene.n_joints)
             played[i] = np.clip(last, scene.tau[i] - r, scene.tau[i] + r)
-        return (scene.J * played[:, None, :])[:, :, scene.driven]
+        return (scene.J * (played - scene.tau)[:, None, :])[:, :, scene.driven]

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`irec improve SESSION -o DIR`: add effects one at a time as long as the evidence justifies it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from ..diagnose import Ladder, improve, write_json
+from ..diagnose.tables import write_tables
+from ..model_file import check_belongs, load_model, save_model
+from ..session import read_session
+from ._progress import Progress
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("session", help="folder of the table, MCAP file or rosbag2 folder")
+    parser.add_argument("--model", help="model.yaml whose effects to start from (default: 18 DOF; absolute sessions: geometric)")
+    parser.add_argument(
+        "-o", "--output", default="improved", help="folder for model.yaml, ladder.json, diagnosis.json (default: improved)"
+    )
+    parser.add_argument("--json", action="store_true", help="ladder.json on standard output too")
+
+
+def run(args: argparse.Namespace) -> int:
+    session = read_session(args.session)
+    model = load_model(args.model) if args.model else None
+    if model is not None:
+        check_belongs(model, session.robot, session.serial)
+    ladder = improve(session, model, progress=Progress())
+    folder = Path(args.output)
+    path = save_model(ladder.model, folder / "model.yaml")
+    write_json(ladder.to_json(), folder / "ladder.json")
+    write_json(ladder.before.to_json(), folder / "diagnosis.json")
+    write_tables(ladder.before, session, folder)
+    if args.json:
+        print(json.dumps(ladder.to_json()))
+    else:
+        print(in_words(ladder))
+        print(f"wrote {path}, ladder.json, diagnosis.json")
+    return 0
+
+
+def in_words(ladder: Ladder) -> str:
+    """The ladder for a terminal."""
+    lines = [f"{'model':40} {'held-out um':>12} {'+-':>6} {'fit um':>8}"]
+    for r in ladder.rungs:
+        name = f"+ {r.added}" if r.added else " + ".join(r.effects)
+        lines.append(f"{name:40} {1e6 * r.cv_rms_m:12.1f} {1e6 * r.cv_rms_se_m:6.1f} {1e6 * r.fit_rms_m:8.1f}")
+    lines.append(f"{'noise floor':40} {1e6 * ladder.noise_floor_m:12.1f}")
+    lines.append(f"stopped: {ladder.stopped}")
+    return "\n".join(lines)

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predicted against measured, and how much of the residual could be explained at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from ..identify import observe_with_force_noise
+from ..model import Term, total_displacement
+from ..observe import Observation
+from ..session.data import Session
+from ..typing import Array
+from .result import Comparison
+
+DISAGREEMENT = 1e-3  # probability below which repeats are said to disagree with the data sheet
+FEWEST_REPEATS = 6
+
+
+def compare(session: Session, terms: Sequence[Term]) -> Comparison:
+    """Compare a model with values, as it is, with a session; noise of tracker, reference and force propagated.
+
+    Raises:
+        SolveError: the session has no usable row.
+    """
+    return compare_observed(observe_with_force_noise(session, terms), terms)
+
+
+def compare_observed(observation: Observation, terms: Sequence[Term], fitted: int = 0) -> Comparison:
+    """As `compare`, for an observation that exists already.
+
+    Args:
+        fitted: how many combinations of parameters were fitted to this very session.
+    """
+    session = observation.session
+    predicted = observation.of(total_displacement(terms, observation.scene))
+    residual = observation.y - predicted
+    squared = (residual**2).sum(axis=1)
+    rms, floor = float(np.sqrt(squared.mean())), observation.whiten.floor
+    chi2 = float((observation.whiten(residual) ** 2).sum())
+    repeat_floor, repeat_dof, ratio = repeat_noise(observation, residual)
+    notes = list(session.notes)
+    if repeat_dof >= FEWEST_REPEATS:
+        p = 2.0 * min(f_distribution.sf(ratio, repeat_dof, 1e6), f_distribution.cdf(ratio, repeat_dof, 1e6))
+        if p < DISAGREEMENT:
+            notes.append(
+                f"repeats scatter by {1e6 * repeat_floor:.1f} um, the data sheet says {1e6 * floor:.1f} um: the noise in session.yaml"
+                f" is too {'small' if ratio > 1 else 'large'}, or the history of the load matters (hysteresis)"
+            )
+    case = session.load_case[observation.rows]
+    return Comparison(
+        rows=observation.rows,
+        measured=observation.y,
+        predicted=predicted,
+        residual=residual,
+        rms_m=rms,
+        noise_floor_m=floor,
+        repeat_floor_m=repeat_floor,
+        explainable_m=float(np.sqrt(max(rms**2 - floor**2, 0.0))),
+        chi2_per_dof=chi2 / max(residual.size - fitted, 1),
+        by_pose={int(p): _rms(squared[observation.pose == p]) for p in observation.poses},
+        by_load_case={session.case_name(int(j)): _rms(squared[case == j]) for j in np.unique(case)},
+        by_axis=tuple(float(np.sqrt((residual[:, a] ** 2).mean())) for a in range(3)),  # type: ignore[arg-type]
+        notes=tuple(notes),
+    )
+
+
+def repeat_noise(observation: Observation, residual: Array) -> tuple[float, int, float]:
+    """Noise from repeats of the same pose and load case, after what the model predicts for each.
+
+    Returns:
+        RMS per sample (m, NaN where nothing was repeated), degrees of freedom, variance relative to the data sheet's.
+    """
+    session, rows = observation.session, observation.rows
+    keys: dict[tuple[int, int, int], list[int]] = {}
+    for i, row in enumerate(rows):
+        keys.setdefault((int(session.pose[row]), int(session.load_case[row]), int(session.marker[row])), []).append(i)
+    variance = observation.whiten.sigma**2 + observation.whiten.sigma_reference**2
+    total, dof, relative = 0.0, 0, 0.0
+    for same in keys.values():
+        if len(same) > 1:
+            spread = ((residual[same] - residual[same].mean(axis=0)) ** 2).sum()
+            total += float(spread)
+            relative += float(spread / variance[same].mean())
+            dof += 3 * (len(same) - 1)
+    if not dof:
+        return float("nan"), 0, 1.0
+    return float(np.sqrt(3.0 * total / dof)), dof, relative / dof
+
+
+def _rms(squared: Array) -> float:
+    return float(np.sqrt(squared.mean()))

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the evidence to a verdict: adequate, missing effect, or unexplained.
+
+A name is given only where the effect is significant, helps on held-out poses, leaves no structure of size behind, and is told apart
+from its rivals or named together with them. A wrong name given with confidence is the worst outcome.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .candidates import Trial
+from .held_out import HeldOut, gain, held_out
+from .search import NATS_TO_NAME, NATS_TO_SEPARATE, Hypothesis, Search
+from .study import Study
+from .tool_weight import Readings
+from .unnamed import Unnamed, depends_on
+from .unnamed import search as search_unnamed
+
+NATS_FOR_STRUCTURE = 9.0  # evidence of a structure without a name that makes it significant (some 300 are tried)
+SHARE_TO_NAME = 0.75  # of the explainable excess that the named effects must explain
+SHARE_OF_SECOND = 0.08  # of the excess that a second effect must bring to be named beside the first
+CHI2_SIGMAS = 5.0  # by which chi2 must exceed its expectation to say that noise does not explain the residual
+HELD_OUT_SIGMAS = 1.5  # by which the held-out loss must fall, over poses
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the evidence says, before it is put in words.
+
+    Attributes:
+        chosen: the hypothesis that is named or came closest; None where no effect is significant.
+        rivals: other hypotheses with as many effects that can't be told from it.
+        left: structures without a name on top of the chosen model, best first.
+        explained: share of the excess over noise that the chosen model explains.
+    """
+
+    status: str
+    chosen: Hypothesis | None
+    rivals: tuple[Hypothesis, ...]
+    left: tuple[Unnamed, ...]
+    depends_on: tuple[str, ...]
+    explained: float
+    readings: Readings | None
+    held_out_base: HeldOut
+    held_out_chosen: HeldOut | None
+    size_m: float
+    reason: str
+
+
+def judge(found: Search, readings: Readings | None, check: Callable[[], None] = lambda: None) -> Judgement:
+    """Weigh the outcome of a search."""
+    study = found.study
+    base_cv = held_out(study)
+    weight_wrong = readings is not None and readings.log_evidence > NATS_TO_NAME
+    chosen = _choose(found)
+    left = tuple(search_unnamed(chosen.study if chosen else study, check))
+    best_left = left[0] if left and left[0].log_evidence > NATS_FOR_STRUCTURE else None
+    final = chosen.study if chosen else study
+    chi2, dof = _chi2(final)
+    white = max(chi2 - dof - 2.0 * np.sqrt(2.0 * dof), 0.0)
+    structured = 0.0 if best_left is None else max(chi2 - best_left.posterior.chi2 - best_left.block.A.shape[1], 0.0)
+    remaining = max(white, structured)
+    size = float(np.sqrt(max(remaining, 0.0) / max(len(study.bench.b), 1))) * study.observation.whiten.floor
+    variables = tuple(depends_on(list(left), NATS_FOR_STRUCTURE)) if best_left else ()
+    too_noisy = chi2 - dof > CHI2_SIGMAS * np.sqrt(2.0 * dof)
+
+    if chosen is None:
+        if best_left or too_noisy:
+            reason = "no effect is significant"
+            return Judgement("unexplained", None, (), left, variables, 0.0, readings, base_cv, None, size, reason)
+        status = "missing_effect" if weight_wrong else "adequate"
+        return Judgement(status, None, (), left, (), float(weight_wrong), readings, base_cv, None, 0.0, "")
+
+    chosen_cv = held_out(chosen.study)
+    won = max(_chi2(study)[0] - chi2, 1e-9)
+    explained = float(won / (won + remaining))
+    rivals = _rivals(found, chosen)
+    mean, se, _ = gain(base_cv, chosen_cv)
+    helps = not np.isfinite(mean) or "station_shift" in chosen.ids or mean > HELD_OUT_SIGMAS * se
+    named = helps and explained >= SHARE_TO_NAME
+    reason = "" if named else "it does not help on held-out poses" if not helps else "it explains only a part"
+    status = "missing_effect" if named else "unexplained"
+    if status == "unexplained" and not variables:
+        on_base = search_unnamed(study, check)
+        variables = tuple(depends_on(on_base, NATS_FOR_STRUCTURE)) if on_base else ()
+    return Judgement(status, chosen, rivals, left, variables, explained, readings, base_cv, chosen_cv, size, reason)
+
+
+def _choose(found: Search) -> Hypothesis | None:
+    """The single effect with the best evidence, or the best pair where it is justified."""
+    if not found.singles or found.singles[0].log_evidence < NATS_TO_NAME:
+        return None
+    best = found.singles[0]
+    if not found.pairs:
+        return best
+    pair = found.pairs[0]
+    before, one, two = (_chi2(s)[0] for s in (found.study, best.study, pair.study))
+    needed = pair.log_evidence - best.log_evidence > NATS_TO_NAME and one - two > SHARE_OF_SECOND * (before - two)
+    return _by_importance(found, pair) if needed else best
+
+
+def _by_importance(found: Search, pair: Hypothesis) -> Hypothesis:
+    """The pair with the effect first that explains more by itself."""
+    alone = {t.effect.id: t.log_evidence for t in found.trials}
+    return Hypothesis(tuple(sorted(pair.added, key=lambda t: -alone.get(t.effect.id, 0.0))), pair.study, pair.log_evidence)
+
+
+def _rivals(found: Search, chosen: Hypothesis) -> tuple[Hypothesis, ...]:
+    others = found.singles if len(chosen.added) == 1 else found.pairs
+    near = [h for h in others if h.log_evidence > chosen.log_evidence - NATS_TO_SEPARATE]
+    return tuple(h for h in near if set(h.ids) != set(chosen.ids))
+
+
+def _chi2(study: Study) -> tuple[float, float]:
+    """Squared residual of a fitted model and its expectation under noise alone."""
+    posterior = study.bench.posterior(study.base)
+    G = study.base.A.T @ study.base.A
+    free = (posterior.x > study.base.lower) & (posterior.x < study.base.upper)
+    F = G[np.ix_(free, free)]
+    shrunk = np.linalg.solve(F + np.diag(1.0 / study.base.width[free] ** 2), F)
+    return posterior.chi2, len(study.bench.b) - float(np.trace(shrunk))
+
+
+def p_value(trial: Trial, study: Study, tried: int) -> float:
+    """Probability that noise alone gives an effect this evidence, corrected for the number of effects tried (Markov's bound)."""
+    return float(min(1.0, tried * np.exp(-max(trial.log_evidence, 0.0))))

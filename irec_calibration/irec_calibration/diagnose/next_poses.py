@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to measure next: samples in which rival explanations predict different displacements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..model import Term, total_displacement
+from ..noise import position_sigma
+from ..scene import Scene, marker_by_controller, scene_of
+from ..session.data import Session
+from ..typing import Array
+from .result import Measurement
+
+NEW_POSES_PER_POSE = 2
+SPREAD = 0.35  # rad; how far new poses lie from measured ones
+AT_MOST = 5
+
+
+def next_measurements(session: Session, a: Sequence[Term], b: Sequence[Term], names: tuple[str, str]) -> tuple[Measurement, ...]:
+    """Rank measured and new poses times load cases by how differently two fitted models predict them; best first.
+
+    Args:
+        a, b: the terms of the two models with values.
+        names: what they are called.
+    """
+    pool: list[tuple[Session, bool]] = [(session, False)]
+    rng = np.random.default_rng(0)
+    pool += [(_moved(session, rng), True) for _ in range(NEW_POSES_PER_POSE)]
+    found: list[Measurement] = []
+    for rows_of, new in pool:
+        scene = scene_of(rows_of)
+        difference = scene.change(total_displacement(a, scene) - total_displacement(b, scene))
+        size = np.linalg.norm(difference, axis=1)
+        sigma = np.sqrt(3.0) * position_sigma(rows_of) * (np.sqrt(2.0) if session.kind == "loaded" else 1.0)
+        seen = _usable(scene, session) & np.isfinite(size)
+        for i in np.flatnonzero(seen)[np.argsort(-(size / sigma)[seen])][:AT_MOST]:
+            found.append(
+                Measurement(
+                    pose=0 if new else int(session.pose[i]),
+                    load_case=session.case_name(int(session.load_case[i])),
+                    separates=names,
+                    difference_m=float(size[i]),
+                    gain=0.5 * float((size[i] / sigma[i]) ** 2),
+                    q=tuple(rows_of.q[i].tolist()) if new else (),
+                )
+            )
+    return tuple(sorted(found, key=lambda m: -m.gain)[:AT_MOST])
+
+
+def _usable(scene: Scene, session: Session) -> Array:
+    return (scene.load_case != 0) if session.kind == "loaded" else session.marker_seen
+
+
+def _moved(session: Session, rng: np.random.Generator) -> Session:
+    """The same procedure at poses nearby, within the joint limits."""
+    robot = session.robot
+    lower = np.maximum(robot.lower, session.q.min(axis=0) - SPREAD)
+    upper = np.minimum(robot.upper, session.q.max(axis=0) + SPREAD)
+    q = session.q.copy()
+    for pose in session.poses:
+        rows = session.pose == pose
+        q[rows] = np.clip(q[rows] + rng.normal(0.0, SPREAD, robot.n_joints), lower, upper)
+    kin = robot.kinematics(q)
+    moved = replace(session, q=q, p_tcp_in_base=kin.p_tcp)
+    believed = marker_by_controller(moved, kin)
+    R = np.stack([s.R_in_base for s in session.stations])[session.station]
+    t = np.array([s.xyz for s in session.stations])[session.station]
+    return replace(moved, p_marker_in_station=np.einsum("nji,nj->ni", R, believed - t))

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a diagnosis says, as plain data that a report can draw, and as `diagnosis.json` (irec-diagnosis/1)."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..model import Model, Term
+from ..typing import Array, IntArray, Json
+
+FORMAT = "irec-diagnosis/1"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect tried on top of the model.
+
+    Attributes:
+        effect: id; groups: the parts of it that are present, e.g. `axis 3`.
+        cv_rms_m: held-out error with it; cv_rms_se_m: its standard error over poses.
+        gain, gain_se: mean held-out loss saved per pose (squared standard deviations), and its standard error.
+        log_evidence: natural log of the odds against the model alone.
+        p_value: corrected for everything that was tried.
+        parameters: name -> {value, se, unit}.
+        plausible: all values lie in the range that is physically likely.
+        confusable_with: effects (`id:group` where only a part) that explain the session equally well.
+    """
+
+    effect: str
+    groups: tuple[str, ...]
+    term: Term
+    cv_rms_m: float
+    cv_rms_se_m: float
+    gain: float
+    gain_se: float
+    log_evidence: float
+    p_value: float
+    plausible: bool
+    parameters: dict[str, Json]
+    confusable_with: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Status `adequate`, `missing_effect` or `unexplained`.
+
+    Attributes:
+        effects: what is missing, most important first.
+        depends_on: for `unexplained`: session columns or `tau_k`, strongest first.
+        size_m: RMS of what is in the residual beyond noise, m.
+        explained: share of the explainable excess that the named effects (or the best try) explain.
+        confident: the first name stands alone; otherwise others explain the session as well.
+    """
+
+    status: str
+    text: str
+    effects: tuple[str, ...] = ()
+    depends_on: tuple[str, ...] = ()
+    size_m: float = 0.0
+    explained: float = 0.0
+    confident: bool = True
+
+
+@dataclass(frozen=True)
+class View:
+    """The residual seen from one side.
+
+    Attributes:
+        view: name of the variable or direction; value: the part of it where the residual is largest.
+        rms_m: residual there; share: of the squared residual that this view accounts for; p_value: corrected for the number of views.
+    """
+
+    view: str
+    value: str
+    rms_m: float
+    share: float
+    p_value: float
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A sample worth measuring: where rivals predict different displacements.
+
+    Attributes:
+        difference_m: between the rivals' predictions; gain: in standard deviations of one sample.
+        q: joint angles, rad; pose is 0 for a new pose.
+    """
+
+    pose: int
+    load_case: str
+    separates: tuple[str, ...]
+    difference_m: float
+    gain: float
+    q: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A model against a session; m observed rows.
+
+    Attributes:
+        measured, predicted, residual: (m, 3), m, in base_link; rows: indices in the session.
+        rms_m, noise_floor_m: per sample; explainable_m: sqrt(rms^2 - floor^2) or 0.
+        repeat_floor_m: from repeats, NaN where there are none.
+        by_pose, by_load_case: number -> RMS, m; by_axis: RMS along base x, y, z, m.
+        notes: what the user should know, e.g. repeats that disagree with the data sheet.
+    """
+
+    rows: IntArray
+    measured: Array
+    predicted: Array
+    residual: Array
+    rms_m: float
+    noise_floor_m: float
+    repeat_floor_m: float
+    explainable_m: float
+    chi2_per_dof: float
+    by_pose: dict[int, float]
+    by_load_case: dict[str, float]
+    by_axis: tuple[float, float, float]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything that `irec diagnose` found."""
+
+    session: str
+    model: Model
+    fit_rms_m: float
+    cv_rms_m: float
+    comparison: Comparison
+    verdict: Verdict
+    candidates: tuple[Candidate, ...]
+    skipped: dict[str, str]
+    where: tuple[View, ...]
+    next_measurements: tuple[Measurement, ...]
+    flexible_gain_m: float = math.nan
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> Json:
+        """The content of `diagnosis.json`; no NaN."""
+        v = self.verdict
+        data = {
+            "format": FORMAT,
+            "session": self.session,
+            "model": {"effects": list(self.model.effects), "fit_rms_m": self.fit_rms_m, "cv_rms_m": self.cv_rms_m},
+            "noise_floor_m": self.comparison.noise_floor_m,
+            "repeat_floor_m": self.comparison.repeat_floor_m,
+            "explainable_m": self.comparison.explainable_m,
+            "flexible_gain_m": self.flexible_gain_m,
+            "verdict": {
+                "status": v.status,
+                "effects": list(v.effects),
+                "text": v.text,
+                "depends_on": list(v.depends_on),
+                "size_m": v.size_m,
+                "explained": v.explained,
+                "confident": v.confident,
+            },
+            "candidates": [
+                {
+                    "effect": c.effect,
+                    "groups": list(c.groups),
+                    "cv_rms_m": c.cv_rms_m,
+                    "cv_rms_se_m": c.cv_rms_se_m,
+                    "p_value": c.p_value,
+                    "log_evidence": c.log_evidence,
+                    "plausible": c.plausible,
+                    "parameters": c.parameters,
+                    "confusable_with": list(c.confusable_with),
+                }
+                for c in self.candidates
+            ],
+            "skipped": self.skipped,
+            "where": [
+                {"view": w.view, "value": w.value, "rms_m": w.rms_m, "share": w.share, "p_value": w.p_value, "text": w.sentence}
+                for w in self.where
+            ],
+            "next_measurements": [
+                {
+                    "pose": m.pose,
+                    "load_case": m.load_case,
+                    "separates": list(m.separates),
+                    "difference_m": m.difference_m,
+                    "gain": m.gain,
+                    **({"joints": list(m.q)} if m.q else {}),
+                }
+                for m in self.next_measurements
+            ],
+            "notes": list(self.notes),
+        }
+        return finite(data)  # type: ignore[no-any-return]
+
+
+def finite(value: Any) -> Any:
+    """The same data with null in place of NaN and infinities, and plain Python numbers."""
+    if isinstance(value, dict):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(v) for v in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_json(data: Json, path: str | Path) -> Path:
+    """Write a result file in one step."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(finite(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(part, path)
+    return path

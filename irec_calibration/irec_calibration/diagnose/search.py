@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which effects on top of a model explain a session: all singly, the best refitted exactly, then pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import log
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from ..effects import Effect, known_effects
+from ..errors import SolveError
+from ..model import Estimate, Term
+from .candidates import Trial, try_effect
+from .priors import FACTORS
+from .study import Study, study_of
+
+NATS_TO_NAME = 8.0  # log evidence over the simpler model that a name needs: odds of 3000 before the number of effects is counted
+NATS_TO_SEPARATE = 3.0  # less than this between two explanations: they can't be told apart
+NATS_TO_REFIT = 25.0  # rivals this close to the best are refitted exactly
+REFITTED_AT_MOST = 6
+PAIRED_AT_MOST = 3
+BASE_EFFECTS = ("joint_torsion", "link_bending")
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A model with effects added, fitted exactly.
+
+    Attributes:
+        added: the terms added to the model, in order of addition.
+        log_evidence: relative to the model alone.
+    """
+
+    added: tuple[Term, ...]
+    study: Study
+    log_evidence: float
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        return tuple(t.effect.id for t in self.added)
+
+
+@dataclass(frozen=True)
+class Search:
+    """Outcome of a search.
+
+    Attributes:
+        trials: every effect that could be tried, best first.
+        skipped: effect id -> why it can't show.
+        singles, pairs: exact fits, best first.
+    """
+
+    study: Study
+    trials: tuple[Trial, ...]
+    skipped: dict[str, str]
+    singles: tuple[Hypothesis, ...]
+    pairs: tuple[Hypothesis, ...]
+
+
+def try_all(
+    study: Study, effects: Sequence[Effect] | None = None, check: Callable[[], None] = lambda: None
+) -> tuple[list[Trial], dict[str, str]]:
+    """Every effect that the model does not have, on top of it: trials (best first) and why others were skipped."""
+    present = {t.effect.id for t in study.terms}
+    trials, skipped = [], {}
+    for effect in known_effects().values() if effects is None else effects:
+        if effect.id in present:
+            continue
+        why = study.why_not(effect)
+        trial = None if why else try_effect(study, effect, check)
+        if trial is None:
+            skipped[effect.id] = why or "it moves nothing in this session"
+        else:
+            trials.append(trial)
+    return sorted(trials, key=lambda t: -t.log_evidence), skipped
+
+
+def refit(study: Study, base: Study, trial: Trial) -> Hypothesis | None:
+    """The model of `study` with a tried effect, fitted exactly, with its shape values refined; None where the fit fails."""
+    variant = trial.best
+
+    def at(shape: dict[str, float]) -> Study:
+        known = dict(zip(variant.names, trial.posterior.x[-len(variant.names) :] * variant.scale, strict=True)) | shape
+        parameters = variant.effect.parameters(study.ready)
+        estimates = {
+            p.name: Estimate(float(np.clip(known[p.name], p.lower, p.upper)), unit=p.unit, lower=p.lower, upper=p.upper)
+            for p in parameters
+            if p.name in known
+        }
+        return study_of(study.observation, (*study.terms, Term(variant.effect, estimates)))
+
+    try:
+        shape = _refined(at, trial, study)
+        found = at(shape)
+    except SolveError:
+        return None
+    added = len(found.terms) - len(base.terms)
+    evidence = _evidence(found, added) - _evidence(base, 0) + variant.log_prior
+    return Hypothesis(found.terms[len(base.terms) :], found, evidence)
+
+
+def _evidence(study: Study, effects: int) -> float:
+    return study.bench.posterior(study.base).log_evidence - effects * log(len(FACTORS))
+
+
+def _refined(at: Callable[[dict[str, float]], Study], trial: Trial, study: Study) -> dict[str, float]:
+    """The shape values of a trial; a continuous one is moved between its grid neighbours to where the evidence is best."""
+    shape = dict(trial.best.shape)
+    for p in trial.effect.parameters(study.ready):
+        grid = sorted(p.grid)
+        if p.name not in shape or len(grid) < 3 or len(grid) > 20 or grid[0] <= 0.0:
+            continue
+        i = grid.index(shape[p.name])
+        low = grid[i - 1] if i else grid[0] ** 2 / grid[1]
+        high = grid[i + 1] if i + 1 < len(grid) else grid[-1] ** 2 / grid[-2]
+        low, high = max(low, p.lower), min(high, p.upper)
+        found = minimize_scalar(
+            lambda u, name=p.name: -_evidence(at(shape | {name: float(np.exp(u))}), 0),
+            bounds=(np.log(low), np.log(high)), method="bounded", options={"maxiter": 8, "xatol": 0.05},
+        )  # fmt: skip
+        shape[p.name] = float(np.exp(found.x))
+    return shape
+
+
+def search(study: Study, check: Callable[[], None] = lambda: None) -> Search:
+    """Try all effects, refit the best ones, and try second effects on top of them."""
+    trials, skipped = try_all(study, check=check)
+    singles: list[Hypothesis] = []
+    if trials:
+        near = [t for t in trials if t.log_evidence > max(1.0, trials[0].log_evidence - NATS_TO_REFIT)][:REFITTED_AT_MOST]
+        for trial in near:
+            check()
+            found = refit(study, study, trial)
+            if found is not None:
+                singles.append(replace(found, log_evidence=max(found.log_evidence, trial.log_evidence)))
+    singles.sort(key=lambda h: -h.log_evidence)
+    pairs: list[Hypothesis] = []
+    for single in [h for h in singles if h.log_evidence > NATS_TO_NAME][:PAIRED_AT_MOST]:
+        seconds, _ = try_all(single.study, check=check)
+        for trial in [t for t in seconds[:2] if t.log_evidence > NATS_TO_NAME]:
+            check()
+            both = refit(single.study, study, trial)
+            if both is not None:
+                pairs.append(replace(both, log_evidence=max(both.log_evidence, single.log_evidence + trial.log_evidence)))
+    pairs.sort(key=lambda h: -h.log_evidence)
+    return Search(study, tuple(trials), skipped, tuple(singles), tuple(pairs))

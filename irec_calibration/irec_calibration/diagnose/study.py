@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One session and one model, prepared so that thousands of alternatives can be tried in seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..effects import Effect, Parameter, absent
+from ..identify import Fit, fit, linearise, observe_with_force_noise
+from ..model import Term, apply_wrench_effects, elastic_response
+from ..observe import Observation
+from ..scene import Scene
+from ..session.data import Session
+from ..typing import Array
+from .evidence import Bench, Block
+from .priors import NOT_PART_OF_IT, choices, prior_width
+
+
+@dataclass(frozen=True)
+class Study:
+    """A model fitted to a session with weak priors, as a linear problem.
+
+    A term that names some of its effect's parameters has only those; the others are held at zero.
+
+    Attributes:
+        fit: the model's terms with fitted values, their residual and what is identifiable.
+        ready: scene under the model's wrench corrections, with the elastic response of its springs attached.
+        base: columns of the model's own parameters; owners: effect id of each; parameters.
+        scale: physical value of one scaled unit, (p,).
+    """
+
+    fit: Fit
+    ready: Scene
+    base: Block
+    owners: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    scale: Array
+    bench: Bench
+
+    @property
+    def observation(self) -> Observation:
+        return self.fit.observation
+
+    @property
+    def session(self) -> Session:
+        return self.fit.observation.session
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        return self.fit.terms
+
+    def columns(self, displacement: Array) -> Array:
+        """Whitened equations of displacements per session row: (n, 3, p) -> (3m, p)."""
+        seen = self.observation.whiten(self.observation.of(displacement))
+        return seen.reshape(-1, displacement.shape[2])
+
+    def regressor(self, effect: Effect, theta: Array) -> Array:
+        """Derivative of the displacement by an effect's parameters about theta, on top of the model, (n, 3, p)."""
+        if effect.acts_on != "wrench":
+            return effect.regressor(self.ready, theta)
+        assert self.ready.elastic is not None
+        parameters = effect.parameters(self.ready)
+        out = np.empty((len(self.ready), 3, len(parameters)))
+        for p, parameter in enumerate(parameters):
+            h = 1e-2 * parameter.scale
+            ahead, behind = theta.copy(), theta.copy()
+            ahead[p] += h
+            behind[p] -= h
+            change = [np.concatenate(effect.wrench(self.ready, t), axis=1) for t in (ahead, behind)]
+            out[:, :, p] = np.einsum("nij,nj->ni", self.ready.elastic.compliance, (change[0] - change[1]) / (2 * h))
+        return out
+
+    def why_not(self, effect: Effect) -> str:
+        """Why an effect can't show in this session at all, or an empty string."""
+        why = absent(self.ready, effect.needs)
+        if not why and not effect.parameters(self.ready):
+            why = "it has no parameter that this robot or session could show"
+        return why
+
+
+def prepare(session: Session, terms: Sequence[Term]) -> Study:
+    """Fit a model to a session with weak priors whose level the session sets, and lay out the linear problem.
+
+    Raises:
+        SolveError: the session can't be used with this model.
+    """
+    return study_of(observe_with_force_noise(session, terms), terms)
+
+
+def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
+    """As `prepare`, for an observation that exists already."""
+    scene = observation.scene
+    width, named = _widths(terms, scene)
+    keep = np.flatnonzero(named)
+    system = linearise(fit(terms, observation, prior_width=width).terms, observation)
+    owners = [terms[i].effect.id for i in system.owner]
+    bench = Bench(system.b, system.pose)
+    block = Block(system.A, system.lower, system.upper, width).take(keep)
+    for rows in choices([owners[i] for i in keep]):
+        widths = block.width * rows
+        block = replace(block, width=widths[int(np.argmax(bench.evidence_over_widths(block, widths)))])
+    width[keep] = block.width
+    result = fit(terms, observation, prior_width=width)
+    result = replace(result, terms=tuple(_only_named(new, old) for new, old in zip(result.terms, terms, strict=True)))
+    system = linearise(result.terms, observation)
+    ready = apply_wrench_effects(result.terms, scene)
+    ready = replace(ready, elastic=elastic_response(result.terms, ready))
+    return Study(
+        result,
+        ready,
+        Block(system.A, system.lower, system.upper, width).take(keep),
+        tuple(owners[i] for i in keep),
+        tuple(system.parameters[i] for i in keep),
+        system.scale[keep],
+        Bench(system.b, system.pose),
+    )
+
+
+def _widths(terms: Sequence[Term], scene: Scene) -> tuple[Array, Array]:
+    """Prior width of each free parameter, and whether the term has it."""
+    width, named = [], []
+    for term in terms:
+        for p in term.effect.parameters(scene):
+            if p.grid:
+                continue
+            named.append(not term.estimates or p.name in term.estimates)
+            width.append(prior_width(term.effect.id, p, scene.n_joints) if named[-1] else NOT_PART_OF_IT)
+    return np.array(width), np.array(named)
+
+
+def _only_named(fitted: Term, given: Term) -> Term:
+    if not given.estimates:
+        return fitted
+    return replace(fitted, estimates={n: e for n, e in fitted.estimates.items() if n in given.estimates})

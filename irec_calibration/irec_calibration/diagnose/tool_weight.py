@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Evidence for a wrong tool weight: what the force sensor reads at the references, where nothing touches the tool.
+
+In the difference to the reference a wrong weight cancels, so displacements say nothing about it. The reference rows' own readings do:
+R^T g dm turns with the flange, a bias of the sensor does not, and a right removal leaves noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..scene import Scene
+from ..typing import Array
+from .evidence import Bench, Block, Posterior
+
+MASS_WIDTH = 5.0  # kg
+BIAS_WIDTH = 20.0  # N
+FEWEST_REFERENCES = 3
+FACTORS = np.array([0.1, 1.0, 10.0])
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What the reference readings say.
+
+    Attributes:
+        mass, mass_se: wrong mass left in the readings, kg; sign as in the effect: reading = R^T g dm.
+        log_evidence: for a wrong mass over noise and over a constant bias, whichever is more likely.
+        rms_before, rms_after: of the readings, N; bias: constant part in tool0, N.
+    """
+
+    mass: float
+    mass_se: float
+    log_evidence: float
+    rms_before: float
+    rms_after: float
+    bias: tuple[float, float, float]
+    log_evidence_bias: float
+
+
+def reference_readings(scene: Scene, force_noise: float) -> Readings | None:
+    """Test the readings at the references of a loaded session; None where there are too few of them."""
+    rows = np.unique(scene.reference[scene.reference >= 0])
+    if len(rows) < FEWEST_REFERENCES or force_noise <= 0.0:
+        return None
+    force = scene.force_in_tool[rows]
+    weight = np.einsum("nji,j->ni", scene.kin.R_tool[rows], scene.gravity_in_base)
+    bench = Bench((force / force_noise).ravel(), np.repeat(scene.pose[rows], 3))
+    mass = _block(weight.ravel()[:, None], force_noise, MASS_WIDTH)
+    bias = _block(np.tile(np.eye(3), (len(rows), 1)), force_noise, BIAS_WIDTH)
+    nothing = _nothing(bench)
+    by_mass = bench.posterior(mass, FACTORS, slice(0, 1))
+    by_bias = bench.posterior(bias, FACTORS, slice(0, 3))
+    by_both = bench.posterior(bias + mass, FACTORS, slice(0, 4))
+    with_mass = max((by_mass, by_both), key=lambda p: p.log_evidence)
+    dm = float(with_mass.x[-1] * MASS_WIDTH)
+    spread = max(with_mass.chi2 / len(bench.b), 1.0)
+    se = float(np.sqrt(spread) * force_noise / np.linalg.norm(weight))
+    rms = float(np.sqrt((force**2).sum(axis=1).mean()))
+    after = float(np.sqrt(with_mass.chi2 / len(rows)) * force_noise)
+    b = by_bias.x * BIAS_WIDTH
+    return Readings(
+        dm, se, with_mass.log_evidence - max(by_bias.log_evidence, nothing), rms, after,
+        (float(b[0]), float(b[1]), float(b[2])), by_bias.log_evidence - nothing,
+    )  # fmt: skip
+
+
+def _block(A: Array, sigma: float, width: float) -> Block:
+    free = np.full(A.shape[1], np.inf)
+    return Block(A * width / sigma, -free, free, np.ones(A.shape[1]))
+
+
+def _nothing(bench: Bench) -> float:
+    """Log evidence of noise alone: a column that moves nothing."""
+    idle: Posterior = bench.posterior(_block(np.zeros((len(bench.b), 1)), 1.0, 1.0))
+    return idle.log_evidence

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Causes without a name: the residual as a smooth function of one variable, along physical directions.
+
+They compete with the catalogue. Where one of them explains what no effect does, the answer is "unexplained", and its variable is what
+the residual depends on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from ..typing import Array
+from .evidence import Block, Posterior
+from .priors import FACTORS
+from .study import Study
+
+DEGREE = 3
+TYPICAL_DISPLACEMENT = 3e-5  # m; what a parameter of scale 1 moves
+MODULATION = 0.1  # typical relative change of a spring
+DEPENDS_ON_AT_MOST = 4
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """One structure without a name.
+
+    Attributes:
+        variables: session columns or `tau_k` that it depends on, the one that shapes it first.
+        frame: along what it acts, in words.
+        block: its columns.
+        posterior, log_evidence: on top of the model, relative to the model alone.
+    """
+
+    variables: tuple[str, ...]
+    frame: str
+    block: Block
+    posterior: Posterior
+    log_evidence: float
+
+
+def variables(study: Study) -> dict[str, Array]:
+    """Shapes over the rows of each variable that varies, name -> (n, m); columns of order 1."""
+    scene = study.ready
+    loaded = study.observation.rows
+    plain: dict[str, Array] = {}
+    if scene.clock == "time":
+        plain["stamp"] = scene.stamp
+    plain |= {f"temp_{n}": v for n, v in scene.temperature.items()}
+    plain |= {f"ext_{n}": v for n, v in scene.ext.items()}
+    plain |= {f"joint_{k + 1}": scene.q[:, k] for k in range(scene.n_joints)}
+    plain |= {f"tau_{k + 1}": scene.tau[:, k] for k in range(scene.n_joints)}
+    plain |= {f"force_{a}": scene.force_in_tool[:, i] for i, a in enumerate("xyz")}
+    out = {}
+    for name, values in plain.items():
+        seen = values[loaded]
+        if not np.isfinite(values).all() or np.ptp(seen) <= 1e-9 * max(1.0, float(np.abs(seen).max())):
+            continue
+        middle, half = 0.5 * (seen.max() + seen.min()), 0.5 * np.ptp(seen)
+        u = np.clip((values - middle) / half, -1.2, 1.2)
+        out[name] = legendre.legvander(u, DEGREE)[:, 1:]
+    cases = np.unique(scene.load_case[loaded])
+    if len(cases) > 1:
+        out["load_case"] = (scene.load_case[:, None] == cases).astype(float)
+    return out
+
+
+def frames(study: Study) -> dict[str, tuple[tuple[str, ...], Array]]:
+    """Directions along which a structure may act: words -> (variables it brings along, columns (n, 3, d) in m)."""
+    scene = study.ready
+    loaded = (scene.load_case > 0) if scene.kind == "loaded" else np.ones(len(scene), dtype=bool)
+    on = loaded[:, None, None].astype(float)
+    assert scene.elastic is not None
+    lever = max(float(np.abs(scene.J).max()), 1e-9)
+    angle = scene.J * (TYPICAL_DISPLACEMENT / lever)
+    tau = scene.load_torque()
+    twist = (
+        scene.J * (tau / np.maximum(np.sqrt((tau[loaded] ** 2).mean(axis=0)), 1e-9))[:, None, :] * (TYPICAL_DISPLACEMENT / lever)
+    )
+    size = max(float(np.sqrt((scene.elastic.displacement**2).sum(axis=1).mean())), 1e-9)
+    out: dict[str, tuple[tuple[str, ...], Array]] = {
+        "constant in the base frame": ((), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on),
+        "constant in the tool frame": ((), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on),
+        "along the elastic deflection": (
+            (),
+            scene.elastic.displacement[:, :, None] * (TYPICAL_DISPLACEMENT / size / MODULATION * 0.1),
+        ),
+        "turning the axes": ((), angle * on),
+        "as compliance of the axes": ((), twist * on),
+    }
+    for k in range(scene.n_joints):
+        out[f"turning axis {k + 1}"] = ((), angle[:, :, k : k + 1] * on)
+        out[f"as compliance of axis {k + 1}"] = ((f"tau_{k + 1}",), twist[:, :, k : k + 1] * on)
+    return out
+
+
+def search(study: Study, check: Callable[[], None] = lambda: None) -> list[Unnamed]:
+    """Try every structure on top of the model; best evidence first."""
+    alone = study.bench.posterior(study.base).log_evidence
+    own = slice(study.base.A.shape[1], None)
+    along = frames(study)
+    found = []
+    for name, shapes in variables(study).items():
+        check()
+        for words, (brings, directions) in along.items():
+            columns = (directions[:, :, :, None] * shapes[:, None, None, :]).reshape(len(directions), 3, -1)
+            A = study.columns(columns)
+            A = A[:, np.linalg.norm(A, axis=0) > 1e-6]
+            if not A.shape[1]:
+                continue
+            free = np.full(A.shape[1], np.inf)
+            block = Block(A, -free, free, np.ones(A.shape[1]))
+            posterior = study.bench.posterior(study.base + block, FACTORS, own)
+            brought = tuple(v for v in brings if v != name)
+            found.append(
+                Unnamed((name, *brought), words, block.widened(posterior.factor), posterior, posterior.log_evidence - alone)
+            )
+    return sorted(found, key=lambda u: -u.log_evidence)
+
+
+def depends_on(found: list[Unnamed], least: float) -> list[str]:
+    """Variables of the structures whose evidence is above `least` and within reach of the best, strongest first."""
+    out: list[str] = []
+    for u in found:
+        if u.log_evidence < max(least, 0.3 * found[0].log_evidence):
+            break
+        out += [v for v in u.variables if v not in out]
+    return out[:DEPENDS_ON_AT_MOST]

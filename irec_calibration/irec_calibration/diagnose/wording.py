@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The verdict in one plain paragraph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..effects import find_effect
+from .judge import Judgement
+from .result import Candidate, Comparison, Measurement, Verdict
+from .search import NATS_TO_NAME, Search
+from .study import Study
+
+
+def um(metres: float) -> str:
+    """A length in um for a sentence."""
+    return f"{1e6 * metres:.1f} um" if np.isfinite(metres) else "unknown"
+
+
+def put_in_words(
+    study: Study,
+    found: Search,
+    verdict: Judgement,
+    candidates: Sequence[Candidate],
+    comparison: Comparison,
+    flexible: float,
+    planned: Sequence[Measurement],
+) -> Verdict:
+    """The verdict with its text."""
+    poses = len(study.bench.poses)
+    weight = verdict.readings is not None and verdict.readings.log_evidence > NATS_TO_NAME
+    ids = list(verdict.chosen.ids) if verdict.chosen and verdict.status == "missing_effect" else []
+    if weight and verdict.status != "unexplained":
+        ids.append("tool_weight")
+    rivals = ["+".join(h.ids) for h in verdict.rivals]
+    opening = (
+        f"The model leaves {um(comparison.rms_m)} ({um(verdict.held_out_base.rms_m)} on held-out poses);"
+        f" the instruments' noise explains {um(comparison.noise_floor_m)}."
+    )
+    parts = [opening]
+    if verdict.status == "adequate":
+        parts.append("No effect and no structure without a name is significant: the residual is what the noise explains.")
+    elif verdict.status == "missing_effect":
+        parts += _missing(verdict, candidates, ids)
+    else:
+        parts += _unexplained(verdict)
+    if weight and verdict.readings is not None:
+        parts.append(
+            f"The force sensor reads {verdict.readings.rms_before:.1f} N where nothing touches the tool, turning with the flange:"
+            f" a tool mass wrong by {verdict.readings.mass:.2f} +- {verdict.readings.mass_se:.2f} kg in the weight removal."
+        )
+    if rivals and verdict.status == "missing_effect":
+        parts.append(f"On this session it can't be told from {', '.join(rivals)}.")
+        if planned:
+            m = planned[0]
+            at = f"pose {m.pose}" if m.pose else "a new pose (see next_measurements)"
+            parts.append(f"Measuring load case {m.load_case} at {at} would part them by {um(m.difference_m)}.")
+    if np.isfinite(flexible) and verdict.status != "adequate" and flexible > 0.0:
+        parts.append(f"A flexible regression could remove another {um(flexible)} at most on held-out poses.")
+    if poses < 5:
+        parts.append(f"With {poses} pose(s) little can be told apart: measure more poses before trusting this.")
+    return Verdict(
+        status=verdict.status,
+        text=" ".join(parts),
+        effects=tuple(ids),
+        depends_on=verdict.depends_on if verdict.status == "unexplained" else (),
+        size_m=verdict.size_m,
+        explained=verdict.explained,
+        confident=not rivals,
+    )
+
+
+def _missing(verdict: Judgement, candidates: Sequence[Candidate], ids: Sequence[str]) -> list[str]:
+    out = []
+    if verdict.chosen is not None and verdict.held_out_chosen is not None:
+        best = next((c for c in candidates if c.effect == verdict.chosen.ids[0]), None)
+        part = f" ({', '.join(best.groups)})" if best and best.groups else ""
+        labels = " and ".join(find_effect(i).label for i in verdict.chosen.ids)
+        out.append(
+            f"Missing: {labels}{part}. Added, the error on held-out poses falls from {um(verdict.held_out_base.rms_m)} to"
+            f" {um(verdict.held_out_chosen.rms_m)}; it explains {100 * verdict.explained:.0f} % of what noise does not."
+        )
+        if best is not None and not best.plausible:
+            out.append("Its value lies outside what is physically likely: check it before using it.")
+    return out
+
+
+def _unexplained(verdict: Judgement) -> list[str]:
+    out = [f"There is structure of about {um(verdict.size_m)} in the residual that no effect of the catalogue explains."]
+    if verdict.depends_on:
+        out.append(f"It depends on {', '.join(verdict.depends_on)}.")
+    if verdict.chosen is not None:
+        tried = " and ".join(find_effect(i).label for i in verdict.chosen.ids)
+        out.append(
+            f"The closest try, {tried}, removes {100 * verdict.explained:.0f} % of it ({verdict.reason}) and is not named as the cause."
+        )
+    return out
