@@ -183,9 +183,10 @@ def split_sizes(n_poses: int, ratio: float = TRAIN_TO_TEST) -> tuple[int, int]:
     """
     n_v = round(n_poses / (ratio + 1.0))
     if n_poses < FEWEST_POSES or n_v < 1 or n_poses - n_v < 2:
+        train, test = 100 * ratio / (1 + ratio), 100 / (1 + ratio)
         raise PlanError(
-            f"{n_poses} poses are too few to split {100 * ratio / (1 + ratio):.0f}/{100 / (1 + ratio):.0f}: that leaves "
-            f"{n_poses - n_v} for training and {n_v} for verification; at least {FEWEST_POSES} poses are needed, and 2 of them to train"
+            f"{n_poses} poses are too few to split {train:.0f}/{test:.0f}: that leaves {n_poses - n_v} for training and {n_v} "
+            f"for verification; at least {FEWEST_POSES} poses are needed, 2 of them to train"
         )
     return n_poses - n_v, n_v
 

@@ -59,7 +59,7 @@ def save_chart(codecs: Sequence[Codec], path: str | Path, title: str = "") -> Pa
         ax.set_ylim(0.0, top)
         ax.grid(axis="y", color="0.9")
         ax.set_axisbelow(True)
-    axes[0].legend(loc="upper right", frameon=False)
+    axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(codecs) + 1, frameon=False, fontsize=9)
     n_c = codecs[0].norm_mean.shape[1]
     axes[1].set_xticks(range(1, n_c + 1), labels=[str(j) for j in range(1, n_c + 1)])
     axes[1].set_xlim(0.3, n_c + 0.7)

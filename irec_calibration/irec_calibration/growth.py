@@ -14,7 +14,7 @@ from .model import Term
 from .session.data import Session
 from .typing import Array
 
-SATURATED = 0.05  # share by which the mean error may still exceed that of the largest training set
+SATURATED = 0.05  # share by which the mean error may exceed what twice the largest training set is expected to reach
 ENOUGH = 0.01  # expected gain of the next pose below which there are enough
 _DRAWS = 400
 
@@ -24,8 +24,8 @@ class Growth:
     """What a CODEC says about the number of poses. Intervals are 5 to 95 %, from resampling the combinations; these share
     their poses, so the true uncertainty is somewhat larger.
 
-    saturated_at: smallest training set from which on the mean error stays within 5 % of that of the largest set, with
-        (low, high) beside it; the size of the largest set where growth has not saturated.
+    saturated_at: smallest training set from which on the mean error stays within 5 % of what twice the largest set is expected
+        to reach, with (low, high) beside it; one more than the largest set where growth has not saturated.
     next_gain: share by which one pose more than the session has is expected to lower the mean error, (low, high) beside it.
     poses: number of poses of the session.
     """
@@ -40,7 +40,7 @@ class Growth:
     @property
     def saturated(self) -> bool:
         """Whether growth has come to rest before the largest training set."""
-        return self.saturated_at < self.largest_training_set
+        return self.saturated_at <= self.largest_training_set
 
     @property
     def enough(self) -> bool:
@@ -96,19 +96,27 @@ def growth_so_far(session: Session, terms: Sequence[Term]) -> tuple[Codec, Growt
 
 
 def _saturation(curves: Array) -> Array:
-    """Smallest number of poses from which on each curve (k, n_c) stays within SATURATED of its end, (k,)."""
-    above = curves > (1.0 + SATURATED) * curves[:, -1:]
+    """Smallest number of poses from which on each curve (k, n_c) stays near its expected end, n_c + 1 for none, (k,)."""
     n_c = curves.shape[1]
+    above = curves > (1.0 + SATURATED) * _expected(curves, 2 * n_c)[:, None]
     return np.where(above.any(axis=1), n_c - np.argmax(above[:, ::-1], axis=1) + 1, 1)
 
 
 def _next_gain(curves: Array, poses: int) -> Array:
     """Expected relative gain from `poses` to `poses` + 1 training poses of each curve (k, n_c), (k,)."""
+    return 1.0 - _expected(curves, poses + 1) / _expected(curves, poses)
+
+
+def _expected(curves: Array, poses: int) -> Array:
+    """Error that each curve (k, n_c) is expected to reach with a number of training poses, (k,)."""
     n_c = curves.shape[1]
     first = min(n_c // 2, n_c - 3)
     inverse = 1.0 / np.arange(first + 1, n_c + 1)
     design = np.column_stack([np.ones_like(inverse), inverse])
-    a, b = np.linalg.lstsq(design, (curves[:, first:] ** 2).T, rcond=None)[0]
-    b = np.maximum(b, 0.0)  # a curve that rises with more poses does so by chance
-    now, then = (np.sqrt(np.maximum(a + b / n, 1e-300)) for n in (poses, poses + 1))
-    return 1.0 - then / now
+    upper = curves[:, first:] ** 2
+    a, b = np.linalg.lstsq(design, upper.T, rcond=None)[0]
+    rises = b <= 0.0  # a curve that rises with more poses does so by chance
+    squared = np.where(rises, upper.mean(axis=1), a + b / poses)
+    # the start of a steep curve may ask for a negative end: then it falls as 1 / sqrt(poses) at most
+    least = upper[:, -1] * min(n_c / poses, 1.0)
+    return np.sqrt(np.maximum(squared, least))

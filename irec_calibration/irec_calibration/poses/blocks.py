@@ -59,9 +59,12 @@ class Subspace:
     """The identifiable combinations of parameters: basis (p, r), chosen so that the mean Gram of the pool is the unit matrix.
 
     Criteria differ between bases only by a constant, so which poses are chosen does not depend on the basis.
+    row_space: orthonormal basis (p, r) of the rows of all observation matrices, in which singular values are those of the
+    observation matrix itself.
     """
 
     basis: Array
+    row_space: Array
 
     @property
     def rank(self) -> int:
@@ -87,20 +90,20 @@ def identifiable_subspace(grams: Array) -> Subspace:
     weight = np.where(scale > _UNSEEN * scale.max(), 1.0 / np.maximum(scale, 1e-300), 0.0)
     value, vector = np.linalg.eigh(mean * np.outer(weight, weight))
     keep = value > _SMALLEST * value[-1]
-    return Subspace(vector[:, keep] / np.sqrt(value[keep]) * weight[:, None])
+    basis = vector[:, keep] / np.sqrt(value[keep]) * weight[:, None]
+    return Subspace(basis, np.linalg.qr(vector[:, keep] * np.where(weight > 0, scale, 0.0)[:, None])[0])
 
 
 def observability(reduced_gram: Array, subspace: Subspace, rows: int) -> float:
     """O1 of Eq. (20) on the identifiable subspace: geometric mean of the singular values / sqrt(3 N M), N m^2/rad.
 
     reduced_gram: (r, r) sum over the chosen poses, in the basis of `subspace`. rows: 3 N M.
-    The singular values are those of the observation matrix restricted to the row space of the pool (orthonormal basis).
     """
     sign, log_det = np.linalg.slogdet(reduced_gram)
     if sign <= 0:
         return 0.0
-    # basis = (orthonormal basis of the row space) @ T: take the volume of T out again
-    volume = np.sum(np.log(np.abs(np.diag(np.linalg.qr(subspace.basis, mode="r")))))
+    # A basis = (A row_space) (row_space^T basis): take the determinant of the second factor out again
+    volume = np.linalg.slogdet(subspace.row_space.T @ subspace.basis)[1]
     return float(np.exp((0.5 * log_det - volume) / subspace.rank) / np.sqrt(rows))
 
 
