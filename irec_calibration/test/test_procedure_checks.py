@@ -61,7 +61,8 @@ def test_a_bad_pose_is_not_driven_to_and_says_why(cell: Cell, poses: tuple, chan
 
 def test_a_pose_outside_the_workspace_is_refused(cell: Cell, poses: tuple) -> None:
     small = replace(read_settings(cell), workspace=np.array([[0.0, 5.0, 0.0], [1.0, 6.0, 1.0]]))
-    assert all("workspace" in t.problem for t in plan_targets(cell, small, *poses, numbers=list(range(1, 13))) if "HOME" not in t.problem)
+    targets = plan_targets(cell, small, *poses, numbers=list(range(1, 13)))
+    assert all("workspace" in t.problem for t in targets if "HOME" not in t.problem)
 
 
 def test_poses_of_another_robot_are_refused(cell: Cell) -> None:

@@ -24,7 +24,6 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -71,8 +70,8 @@ class ProcedureNode(Node):
         self.create_service(Trigger, "irec/procedure/pause", self._on_pause)
         self.create_service(Trigger, "irec/procedure/resume", self._on_resume)
         self._action = ActionServer(
-            self, RunProcedure, "irec/run_procedure", execute_callback=self._execute,
-            goal_callback=self._on_goal, cancel_callback=lambda _: CancelResponse.ACCEPT,
+            self, RunProcedure, "irec/run_procedure", execute_callback=self._conclude,
+            goal_callback=self._on_goal, handle_accepted_callback=self._begin, cancel_callback=lambda _: CancelResponse.ACCEPT,
         )  # fmt: skip
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(STEP_PERIOD, self._step, clock=steady)
@@ -80,8 +79,8 @@ class ProcedureNode(Node):
         self._procedure: Procedure | None = None
         self._recorder: SessionRecorder | None = None
         self._goal: Any = None
-        self._ended: Future | None = None
         self._busy = False
+        self._answer = RunProcedure.Result()
         self._begun = 0.0
         self._session_start = 0.0
         self._last_state = ""
@@ -99,21 +98,39 @@ class ProcedureNode(Node):
         self._busy = True
         return GoalResponse.ACCEPT
 
-    async def _execute(self, goal: Any) -> RunProcedure.Result:
+    def _begin(self, goal: Any) -> None:
+        """Start a run. The goal is executed when the run has ended: an executor polls a callback that waits."""
+        self._goal = goal
         try:
-            await self._begin(goal)
-            return self._result(goal)
+            self._open(goal.request)
         except IrecError as error:
             self.get_logger().error(str(error))
-            goal.abort()
-            return RunProcedure.Result(success=False, message=str(error))
-        finally:
-            self._close()
-            self._busy = False
+            self._finish(RunProcedure.Result(success=False, message=str(error)))
 
-    def _begin(self, goal: Any) -> Future:
-        """Open the recording and set the machine up; the future is done at the end of the run."""
-        request = goal.request
+    def _finish(self, answer: RunProcedure.Result) -> None:
+        """Close the recording and answer the goal."""
+        goal = self._goal
+        try:
+            self._close()
+        except IrecError as error:  # the disk is full, ...
+            self.get_logger().error(str(error))
+            answer.success, answer.message = False, f"{answer.message}; {error}"
+        self._answer = answer
+        goal.execute()
+        self._busy = False
+
+    def _conclude(self, goal: Any) -> RunProcedure.Result:
+        answer = self._answer
+        if goal.is_cancel_requested:
+            goal.canceled()
+        elif answer.success:
+            goal.succeed()
+        else:
+            goal.abort()
+        return answer
+
+    def _open(self, request: RunProcedure.Goal) -> None:
+        """Read the poses, open the recording, set the machine up."""
         poses_path = request.poses_path or str(self.cell.poses_path)
         poses = read_poses(poses_path, self.cell.serial, self.cell.robot.sha256).poses
         targets = plan_targets(
@@ -131,38 +148,25 @@ class ProcedureNode(Node):
         )  # fmt: skip
         self._poses_before = len({pose for pose, _ in self._recorder.done})
         self._link.attach(self._procedure)
-        ended = Future()
-        self._goal, self._ended = goal, ended
         self._instruments.find_temperatures()
         self._instruments.record_to(self._recorder)
         self._begun = time.monotonic()
         self._session_start = 0.0
         where = f"going on after {self._poses_before} complete poses" if self._recorder.done else "from the beginning"
         self.get_logger().info(f"{len(targets)} poses from {poses_path}, {where}; recording to {self._recorder.path}")
-        return ended
 
     def _new_path(self, request: RunProcedure.Goal) -> Path:
         if request.session_path:
             return Path(request.session_path)
         return self.session_folder / f"{self.cell.name}_{datetime.now().astimezone():%Y%m%d_%H%M%S}.mcap"
 
-    def _result(self, goal: Any) -> RunProcedure.Result:
-        procedure, recorder = self._procedure, self._recorder
-        if procedure is None or recorder is None:
-            raise IrecError("the run ended before it began")
-        counts = procedure.counts
-        reason = procedure.stopped_because
+    def _result(self, procedure: Procedure, recorder: SessionRecorder) -> RunProcedure.Result:
+        counts, reason = procedure.counts, procedure.stopped_because
         complete = counts.complete + len(recorder.done)
         text = (
             f"{complete} poses complete, {counts.skipped} skipped, {counts.rejected} load cases rejected"
             f"{f'; stopped: {reason}' if reason else ''}"
         )
-        if goal.is_cancel_requested:
-            goal.canceled()
-        elif reason:
-            goal.abort()
-        else:
-            goal.succeed()
         self.get_logger().info(text)
         return RunProcedure.Result(
             success=not reason, message=text, session_path=str(recorder.path), poses_recorded=complete,
@@ -173,7 +177,7 @@ class ProcedureNode(Node):
         self._instruments.record_to(None)
         recorder, self._recorder, self._goal = self._recorder, None, None
         self._report(recorder)
-        self._procedure, self._ended = None, None
+        self._procedure = None
         if recorder is not None:
             recorder.close()
 
@@ -181,7 +185,7 @@ class ProcedureNode(Node):
 
     def _step(self) -> None:
         procedure = self._procedure
-        if procedure is None or self._ended is None or self._ended.done():
+        if procedure is None:
             return
         now = self.get_clock().now().nanoseconds * 1e-9
         if procedure.state == "idle" and not procedure.stopped_because and not self._robot_is_ready(procedure):
@@ -198,8 +202,8 @@ class ProcedureNode(Node):
         if procedure.state != self._last_state:
             self._last_state = procedure.state
             self._report()
-        if procedure.finished:
-            self._ended.set_result(None)
+        if procedure.finished and self._recorder is not None:
+            self._finish(self._result(procedure, self._recorder))
 
     def _robot_is_ready(self, procedure: Procedure) -> bool:
         """Start once driver and readings are there; give up after ROBOT_WAIT."""

@@ -24,7 +24,6 @@ from .header import FORMAT, Header, parse_header
 from .table import XYZ, Columns, columns_of, session_from_columns
 
 
-
 class _MessageColumns(Columns):
     """Columns built from messages; places are named by message."""
 
