@@ -14,7 +14,6 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.task import Future
 
 from irec_msgs.action import Move
 from irec_msgs.msg import RobotState
@@ -55,12 +54,15 @@ class RobotSide:
         """rail_speed: velocity limit of the rail, m/s."""
         self._node, self._cell, self._loop, self.rail_speed = node, cell, loop, rail_speed
         self._running: Order | None = None
+        self._share: dict[bytes, float] = {}  # of the way, by id of the goal
+        self._refused: dict[bytes, str] = {}  # reason, by id of the goal
         depth = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
         self._action = ActionServer(
             node,
             Move,
             "robot/move",
-            execute_callback=self._execute,
+            execute_callback=self._answer_move,
+            handle_accepted_callback=self._accepted,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
         node.create_service(SetControlMode, "robot/set_control_mode", self._on_mode)
@@ -98,33 +100,45 @@ class RobotSide:
 
         self._loop.call(start)
 
-    async def _execute(self, handle: ServerGoalHandle) -> Move.Result:
+    def _accepted(self, handle: ServerGoalHandle) -> None:
+        """Begin the move. The goal is executed when the move has ended: an executor polls a callback that waits."""
+
+        key = bytes(handle.goal_id.uuid)
+
+        def ended(fraction: float) -> None:
+            self._share[key] = fraction
+            handle.execute()
+
         try:
-            ended = self._start(handle)
+            self._start(handle, ended)
         except SimError as error:
+            self._refused[key] = str(error)
+            handle.execute()
+
+    def _answer_move(self, handle: ServerGoalHandle) -> Move.Result:
+        key = bytes(handle.goal_id.uuid)
+        refused, fraction = self._refused.pop(key, ""), self._share.pop(key, 0.0)
+        if refused:
             handle.abort()
-            return Move.Result(success=False, message=str(error))
-        fraction = await ended
+            return Move.Result(success=False, message=refused)
         if handle.is_cancel_requested:
             handle.canceled()
             return Move.Result(success=False, message=f"cancelled after {100 * fraction:.0f} % of the way")
         handle.succeed()
         return Move.Result(success=True)
 
-    def _start(self, handle: ServerGoalHandle) -> Future:
+    def _start(self, handle: ServerGoalHandle, ended: Callable[[float], None]) -> None:
         self._refuse_unless_free()
         goal: Move.Goal = handle.request
         start = self._loop.call(lambda: self._cell.commanded)
         motion = self._joint(goal, start) if goal.kind == Move.Goal.JOINT else self._linear(goal, start)
-        ended: Future = Future()
         order = Order(
             motion,
             cancelled=lambda: bool(handle.is_cancel_requested),
             feedback=lambda fraction: handle.publish_feedback(Move.Feedback(fraction=float(fraction))),
-            ended=ended.set_result,
+            ended=ended,
         )
         self.begin(order)
-        return ended
 
     def _refuse_unless_free(self) -> None:
         if self._cell.mode == RobotState.MODE_FAULT:
