@@ -95,7 +95,9 @@ def identify_tool_load(
     n = len(readings)
     needed = MIN_ORIENTATIONS + (1 if alignment else 0)
     if n < needed:
-        raise SolveError(f"{n} orientations without contact; at least {needed} are needed, better 8, with the tool turned to all sides")
+        raise SolveError(
+            f"{n} orientations without contact; at least {needed} are needed, better 8, with the tool turned to all sides"
+        )
     g = np.einsum("nji,j->ni", R, np.asarray(gravity_in_base, dtype=float))
     directions = g / np.linalg.norm(gravity_in_base)
     spread = float(np.linalg.svd(directions - directions.mean(axis=0), compute_uv=False)[-1] / math.sqrt(n))
@@ -142,7 +144,12 @@ def identify_tool_load(
     if alignment:
         errors["alignment"] = _three(se[10:])
     return ToolLoadFit(
-        load, errors, float(np.sqrt(np.mean((r[:n_f] * scale_f) ** 2))), float(np.sqrt(np.mean((r[n_f:] * scale_t) ** 2))), spread, n
+        load,
+        errors,
+        float(np.sqrt(np.mean((r[:n_f] * scale_f) ** 2))),
+        float(np.sqrt(np.mean((r[n_f:] * scale_t) ** 2))),
+        spread,
+        n,
     )
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-
 from irec_calibration.robot import Robot
 from irec_calibration.tool_load import ToolLoad
 from irec_calibration.typing import Array
@@ -71,7 +70,9 @@ def sensor_in_tool(robot: Robot, frame: str) -> tuple[Array, Array]:
         raise SettingsError(f"robot description has no link '{frame}', in which the force sensor is said to measure")
     sensor, tool = model.frames[model.getFrameId(frame)], model.frames[model.getFrameId("tool0")]
     if sensor.parentJoint != tool.parentJoint:
-        raise SettingsError(f"link '{frame}' is not fixed to tool0, so that a force sensor there does not measure the process force")
+        raise SettingsError(
+            f"link '{frame}' is not fixed to tool0, so that a force sensor there does not measure the process force"
+        )
     T = tool.placement.actInv(sensor.placement)
     return np.array(T.rotation), np.array(T.translation)
 

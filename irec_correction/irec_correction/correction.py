@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole chain, without ROS: wrench and joint angles in, offset out, one tick per period.
 
-    reading -> watchdog -> bias, weight, cable -> filters -> TCP -> model at the joint angles -> prediction ahead -> state machine
-    -> limits -> offset
+reading -> watchdog -> bias, weight, cable -> filters -> TCP -> model at the joint angles -> prediction ahead -> state machine
+-> limits -> offset
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-
 from irec_calibration.model import Model
 from irec_calibration.robot import Robot
 from irec_calibration.typing import Array

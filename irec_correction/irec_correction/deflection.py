@@ -13,16 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
-
 from irec_calibration.effects.scales import rated_torque
 from irec_calibration.effects.sensor_gain import NAMES as GAIN_NAMES
 from irec_calibration.effects.sensor_gain import crosstalk
 from irec_calibration.model import Model, Term
 from irec_calibration.robot import Payload, Robot
 from irec_calibration.typing import Array
+from scipy.spatial.transform import Rotation
 
-from .errors import ActivationError
 from .spring_chain import BASE_SPRING, TOOL_SPRING, build_chain
 
 if TYPE_CHECKING:
@@ -221,7 +219,8 @@ class _Weight:
 
 def _split(model: Model, robot: Robot) -> tuple[UserTerms | None, list[Term]]:
     """Terms of users, to be evaluated by their own code, and the terms that can be compiled."""
-    known, foreign = [], []
+    known: list[Term] = []
+    foreign: list[Term] = []
     for term in model.terms:
         compiled = term.effect.id in COMPILED or term.effect.id in LEFT_OUT or term.effect.acts_on == "instrument"
         (known if compiled else foreign).append(term)
@@ -266,7 +265,7 @@ def _compile(terms: list[Term], robot: Robot, index: dict[str, int], n: int) -> 
             case "tool_compliance":
                 for a in "xyz":
                     add(f"tool_{a}", f"tool_{a}", value(f"c_{a}"))
-                for a, b in ("xy", "xz", "yz"):
+                for a, b in (("x", "y"), ("x", "z"), ("y", "z")):
                     add(f"tool_{a}", f"tool_{b}", value(f"c_{a}{b}"))
                     add(f"tool_{b}", f"tool_{a}", value(f"c_{a}{b}"))
             case "base_compliance":

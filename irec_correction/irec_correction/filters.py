@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy import signal
-
 from irec_calibration.typing import Array
+from scipy import signal
 
 from .errors import SettingsError
 

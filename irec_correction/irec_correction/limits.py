@@ -7,11 +7,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-
 from irec_calibration.typing import Array
 
 from .errors import SettingsError
-
 
 ON_TARGET = 1e-9  # m or rad; closer than this counts as reached
 SHORTEST_STEP = 1e-3  # of the period; a second tick at the same time moves nothing

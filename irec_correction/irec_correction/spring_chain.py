@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
-
 from irec_calibration.robot import Robot
 from irec_calibration.typing import Array
 

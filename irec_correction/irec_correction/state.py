@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The state machine of the correction: when the offset follows the model, is held, faded out, or stays at zero.
 
-                 start                 ramped
-    INACTIVE ------------> RAMP_IN ------------> ACTIVE
-        ^  ^                 |  ^  ^               |
-        |  |       lost      |  |  |  back   lost  |         stop or outside leads from each of RAMP_IN, ACTIVE and HOLD to FADE;
-        |  |                 v  |  |               |         back leads from FADE to RAMP_IN where the model was outside
-        |  |                HOLD --+ <-------------+         its envelope, not where an input was lost.
-        |  | faded           | expired
-        |  +----------- FADE <
-        | stop           | faded after a loss
-        +------------- FAULT
+             start                 ramped
+INACTIVE ------------> RAMP_IN ------------> ACTIVE
+    ^  ^                 |  ^  ^               |
+    |  |       lost      |  |  |  back   lost  |         stop or outside leads from each of RAMP_IN, ACTIVE and HOLD to FADE;
+    |  |                 v  |  |               |         back leads from FADE to RAMP_IN where the model was outside
+    |  |                HOLD --+ <-------------+         its envelope, not where an input was lost.
+    |  | faded           | expired
+    |  +----------- FADE <
+    | stop           | faded after a loss
+    +------------- FAULT
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 import numpy as np
-
 from irec_calibration.typing import Array
 
 from .errors import SettingsError

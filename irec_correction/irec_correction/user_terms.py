@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-
 from irec_calibration.model import Term
 from irec_calibration.robot import Robot
 from irec_calibration.scene import Scene
@@ -31,7 +30,9 @@ class UserTerms:
             missing = sorted(NOT_IN_PRODUCTION & set(term.effect.needs))
             if missing or term.effect.needs_elastic or term.effect.acts_on == "wrench":
                 why = f"needs {', '.join(missing)}" if missing else "builds on other effects of the model"
-                raise ActivationError(f"effect '{term.effect.id}' {why}, which the correction can't give it; use a model without it")
+                raise ActivationError(
+                    f"effect '{term.effect.id}' {why}, which the correction can't give it; use a model without it"
+                )
         self._robot = robot
         self._scene = _two_rows(robot)
         self._terms = [(t.effect, t.theta(t.effect.parameters(self._scene))) for t in terms]

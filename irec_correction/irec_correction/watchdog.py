@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-
 from irec_calibration.model import Envelope
 from irec_calibration.typing import Array
 
@@ -146,7 +145,8 @@ class Watchdog:
         w.stamp, w.came_in = stamp, now
         if now - self._changed_at > s.frozen_after:
             w.refused = Finding(
-                Fault.WRENCH_FROZEN, f"force sensor repeats one reading for {now - self._changed_at:.2f} s, limit {s.frozen_after} s"
+                Fault.WRENCH_FROZEN,
+                f"force sensor repeats one reading for {now - self._changed_at:.2f} s, limit {s.frozen_after} s",
             )
         return w.refused is None
 
@@ -211,7 +211,8 @@ class Watchdog:
             k = int(np.argmax(step - allowed))
             if step[k] > allowed[k]:
                 return Finding(
-                    Fault.JOINTS_JUMP, f"joint_{k + 1} jumped by {step[k]:.4f} rad in one sample, its speed allows {allowed[k]:.4f} rad"
+                    Fault.JOINTS_JUMP,
+                    f"joint_{k + 1} jumped by {step[k]:.4f} rad in one sample, its speed allows {allowed[k]:.4f} rad",
                 )
         return None
 

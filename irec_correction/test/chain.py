@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-
 from irec_calibration.effects import find_effect
 from irec_calibration.model import Envelope, Estimate, Model, Term
 from irec_calibration.robot import Robot
@@ -25,7 +24,7 @@ TORSION = (2.5e-7, 2.0e-7, 3.0e-7, 1.0e-6, 1.2e-6, 1.8e-6)
 def model(scale: float = 1.0, envelope: bool = True) -> Model:
     torsion = Term(find_effect("joint_torsion"), {f"c_{k}": Estimate(scale * c) for k, c in enumerate(TORSION, 1)})
     bending = Term(find_effect("link_bending"), {f"c_{k}{v}": Estimate(scale * 1e-7) for k in range(1, 7) for v in "ab"})
-    within = Envelope(tuple(Q - 0.5), tuple(Q + 0.5), 1200.0) if envelope else None
+    within = Envelope(tuple((Q - 0.5).tolist()), tuple((Q + 0.5).tolist()), 1200.0) if envelope else None
     return Model((torsion, bending), serial="S-1", urdf_sha256=ROBOT.sha256, envelope=within)
 
 

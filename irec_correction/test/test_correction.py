@@ -10,7 +10,6 @@ import pytest
 from chain import PERIOD, ROBOT, WRENCH, Rig, model
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from irec_correction.correction import Correction, CorrectionSettings
 from irec_correction.deflection import Deflection
 from irec_correction.errors import ActivationError, SettingsError

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.formula import FormulaEffect
 from irec_calibration.model import Estimate, Model, Term
@@ -89,7 +88,9 @@ def test_instance_gives_the_same_answer_whatever_pose_came_before():
     q, force = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3]), np.array([100.0, -50.0, -900.0])
     used = Deflection(model, ROBOT)
     used(q + 0.4, 2 * force, np.ones(3), 0.004)
-    np.testing.assert_array_equal(used(q, force, np.zeros(3), 0.004)[0], Deflection(model, ROBOT)(q, force, np.zeros(3), 0.004)[0])
+    np.testing.assert_array_equal(
+        used(q, force, np.zeros(3), 0.004)[0], Deflection(model, ROBOT)(q, force, np.zeros(3), 0.004)[0]
+    )
 
 
 def axis_torque(q: np.ndarray, force: np.ndarray) -> np.ndarray:

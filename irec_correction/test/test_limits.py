@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from irec_correction.errors import SettingsError
 from irec_correction.limits import Bounds, VectorLimiter
 
