@@ -13,8 +13,10 @@ import yaml
 
 from .cellfile import read_cell
 from .errors import SimError
+from .hidden import STRENGTHS, Case, write_matrix
 from .session import generate, scale_to_share, write_deflections, write_session
 from .truth import EFFECTS, Truth, make_truth, read_truth
+from .truth_catalogue import CATALOGUE
 
 
 def _truth(args: argparse.Namespace, cell_name: str) -> Truth:
@@ -29,7 +31,10 @@ def _session(args: argparse.Namespace) -> int:
     cell = read_cell(args.cell)
     truth = _truth(args, cell.name)
     if args.strength is not None:
-        truth = scale_to_share(cell, truth, args.strength, args.truth_seed)
+        truth, shown = scale_to_share(cell, truth, args.strength, args.truth_seed)
+        for h in truth.hidden:
+            if h.effect not in shown:
+                print(f"irec-sim: {h.effect} does not reach {args.strength:g} of the deflection with these parameters", file=sys.stderr)
     made = generate(cell, truth, args.poses, args.seed, args.repeats)
     folder = write_session(made, args.output, args.name or Path(args.output).name)
     if args.truth_out is not None:
@@ -42,6 +47,25 @@ def _session(args: argparse.Namespace) -> int:
     size = np.linalg.norm(made.rows[0].deflection, axis=2)
     print(f"{folder}: {args.poses} poses x {len(cell.load_cases)} load cases x {args.repeats}")
     print(f"deflection of the TCP: mean {1e3 * size.mean():.3f} mm, max {1e3 * size.max():.3f} mm")
+    return 0
+
+
+def _hidden(args: argparse.Namespace) -> int:
+    cases = None
+    if args.effect:
+        unknown = [e for e in args.effect if e not in EFFECTS and e != "clean"]
+        if unknown:
+            raise SimError(f"--effect {unknown[0]}: not known; there are clean, {', '.join(EFFECTS)}")
+        strengths = args.strength or STRENGTHS
+        cases = [Case("clean", (), 0.0) for e in args.effect if e == "clean" for _ in range(args.repeats)]
+        for e in args.effect:
+            if e != "clean":
+                kind = "single" if e in CATALOGUE else "outside"
+                cases += [Case(kind, (e,), s) for s in strengths for _ in range(args.repeats)]
+    truth = write_matrix(
+        args.out, args.seed, cases, args.poses, args.validation_poses, args.clean, args.pairs, lambda text: print(text, flush=True)
+    )
+    print(f"sessions in {args.out}, truth in {truth}")
     return 0
 
 
@@ -61,6 +85,17 @@ def _parser() -> argparse.ArgumentParser:
     session.add_argument("-o", "--output", required=True, help="new folder for the session")
     session.add_argument("--truth-out", help="folder, outside the session, for the truth and the true deflection of each row")
     session.set_defaults(run=_session)
+    hidden = commands.add_parser("hidden", help="write a blind matrix of sessions with hidden effects")
+    hidden.add_argument("--out", required=True, help="new folder for the sessions; the truth goes to the same name with -truth")
+    hidden.add_argument("--seed", type=int, default=0)
+    hidden.add_argument("--poses", type=int, default=31)
+    hidden.add_argument("--validation-poses", type=int, default=20)
+    hidden.add_argument("--clean", type=int, default=12, help="cells with nothing hidden (default: 12)")
+    hidden.add_argument("--pairs", type=int, default=8, help="cells with two effects (default: 8)")
+    hidden.add_argument("--effect", action="append", metavar="ID", help="only this effect (or 'clean'); may be given again")
+    hidden.add_argument("--strength", action="append", type=float, help="with --effect: share of the RMS deflection")
+    hidden.add_argument("--repeats", type=int, default=1, help="with --effect: cells of each")
+    hidden.set_defaults(run=_hidden)
     return parser
 
 

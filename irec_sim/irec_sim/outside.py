@@ -22,7 +22,7 @@ def _neighbour(n: int, joint: int, angle_of: int, value: float) -> np.ndarray:
 OUTSIDE: dict[str, TruthEffect] = {
     # oil and grease soften a gear as it warms up
     "gear_heat": plant_effect(
-        lambda rng: {"joint": int(rng.choice([1, 2, 3])), "per_kelvin": float(rng.choice([-1, 1]) * 0.01)},
+        lambda rng: {"joint": int(rng.choice([1, 2, 3])), "per_kelvin": float(rng.choice([-1, 1]) * 0.02)},
         lambda plant, p, s: {"gear_heat": plant.gear_heat + s * p["per_kelvin"] * np.eye(6)[p["joint"] - 1]},
     ),
     # a gear whose stiffness varies with the angle of another axis (dress pack that twists, bearing seat that warps)
@@ -37,7 +37,7 @@ OUTSIDE: dict[str, TruthEffect] = {
     ),
     # light bends in air that is warmer above: grows with the square of the distance and with ambient temperature
     "refraction": sensing_effect(
-        lambda rng: {"coefficient": float(rng.choice([-1, 1]) * 2e-6)}, lambda sensing, p, s: {"refraction": s * p["coefficient"]}
+        lambda rng: {"coefficient": float(rng.choice([-1, 1]) * 5e-6)}, lambda sensing, p, s: {"refraction": s * p["coefficient"]}
     ),
     # the disc does not bear at its centre: the process force acts beside the TCP
     "contact_offset": plant_effect(

@@ -19,6 +19,7 @@ from .errors import SimError
 from .kinematics import Array, quaternion_of_rotation
 from .observe import Rows, Schedule, simulate
 from .poses import Poses, spread_poses
+from .sensing import force_reading
 from .truth import Truth
 
 _FORCE_SPREAD = 5.0  # N, by which the force controller misses the set point
@@ -81,45 +82,58 @@ def generate(cell: CellFile, truth: Truth, poses: int, seed: int, repeats: int =
     return out
 
 
+_LARGEST_SCALE = 60.0
+_NEVER_LOADED = ("encoder_harmonics",)  # the same at the reference and under load
 _READING_EFFECTS = ("sensor_gain", "sensor_alignment", "tool_weight")
 
 
-def effect_share(cell: CellFile, truth: Truth, effect: str, schedule: Schedule) -> float:
-    """RMS of what an effect changes in the observed deflection, over the RMS deflection without it.
+def effect_share(cell: CellFile, truth: Truth, effect: str, schedule: Schedule, before: Rows) -> float:
+    """RMS of what an effect changes in the observed deflection, over the RMS deflection `before` it was there.
 
     For errors of the force sensor: of the deflection that the wrong reading would cause, against the true one.
     """
-    plain = truth.without(effect)
-    before = simulate(cell, plain.physics(), schedule)
     base = before.apparent_deflection(cell)
-    with_effect = truth.physics()
     if effect in _READING_EFFECTS:
-        read = simulate(cell, with_effect, schedule).force_reading
-        wrong = replace(schedule, force=np.concatenate([np.zeros_like(read[:, :1]), read[:, 1:] - read[:, :1]], axis=1))
-        change = simulate(cell, plain.physics(), wrong).deflection - before.deflection
+        read = force_reading_of(cell, truth, schedule)
+        read[:, 0] = 0.0
+        wrong = replace(schedule, force=read)
+        change = simulate(cell, truth.without(effect).physics(), wrong).deflection - before.deflection
     else:
-        change = simulate(cell, with_effect, schedule).apparent_deflection(cell) - base
+        change = simulate(cell, truth.physics(), schedule).apparent_deflection(cell) - base
     return float(np.sqrt((change**2).sum(-1).mean() / (base**2).sum(-1).mean()))
 
 
-def scale_to_share(cell: CellFile, truth: Truth, share: float, seed: int = 0, poses: int = 24) -> Truth:
+def force_reading_of(cell: CellFile, truth: Truth, schedule: Schedule) -> Array:
+    """What the force sensor reads along a schedule, without noise, (N, M + 1, 3), N."""
+    sensing = truth.physics().sensing
+    rows = [force_reading(sensing, cell.sensor_axis, schedule.force[:, j], schedule.poses.R) for j in range(schedule.force.shape[1])]
+    return np.stack(rows, axis=1)
+
+
+def scale_to_share(cell: CellFile, truth: Truth, share: float, seed: int = 0, poses: int = 24) -> tuple[Truth, set[str]]:
     """Scale each hidden effect of a truth so that it alone causes `share` of the RMS deflection.
 
-    Effects that no loaded session can show (encoder harmonics cancel) keep their scale.
+    Returns:
+        the truth, and the effects that could be scaled; the others don't show in a loaded session at all (encoder
+        harmonics cancel, play shows only where the torque changes sign) or can't become so strong, and keep scale 1.
     """
     rng = np.random.default_rng([seed, 2])
     schedule = make_schedule(cell, spread_poses(cell, poses, rng), 0.0, rng)
+    before = simulate(cell, truth.without(*(h.effect for h in truth.hidden)).physics(), schedule)
+    shown = set()
     for hidden in truth.hidden:
         name, scale = hidden.effect, 1.0
         alone = truth.without(*(h.effect for h in truth.hidden if h.effect != name))
-        for _ in range(12):
-            now = effect_share(cell, alone.scaled(name, scale), name, schedule)
-            if now < 1e-5 or abs(now / share - 1.0) < 0.01:
+        for _ in range(10):
+            now = effect_share(cell, alone.scaled(name, scale), name, schedule, before)
+            if now < 1e-4 or scale > _LARGEST_SCALE or name in _NEVER_LOADED:
                 break
-            scale *= float(np.clip(share / now, 0.2, 5.0))
-        if now >= 1e-5:
-            truth = truth.scaled(name, scale)
-    return truth
+            if abs(now / share - 1.0) < 0.02:
+                truth = truth.scaled(name, scale)
+                shown.add(name)
+                break
+            scale *= float(np.clip(share / now, 0.1, 10.0))
+    return truth, shown
 
 
 def write_session(generated: Generated, folder: str | Path, name: str) -> Path:

@@ -169,10 +169,10 @@ CATALOGUE: dict[str, TruthEffect] = {
         lambda rng: {"mass": float(rng.choice([-1, 1]) * rng.uniform(3, 6))}, lambda sensing, p, s: {"weight_error": s * p["mass"]}
     ),
     "station_registration": sensing_effect(
-        lambda rng: {"turn": list(2e-3 * np.array(direction(rng)))}, lambda sensing, p, s: {"station_turn": s * np.array([p["turn"]])}
+        lambda rng: {"turn": list(5e-3 * np.array(direction(rng)))}, lambda sensing, p, s: {"station_turn": s * np.array([p["turn"]])}
     ),
     "tracker_scale": sensing_effect(
-        lambda rng: {"scale": float(rng.choice([-1, 1]) * 2e-3)}, lambda sensing, p, s: {"tracker_scale": s * p["scale"]}
+        lambda rng: {"scale": float(rng.choice([-1, 1]) * 5e-3)}, lambda sensing, p, s: {"tracker_scale": s * p["scale"]}
     ),
     "station_shift": sensing_effect(
         lambda rng: {"direction": direction(rng), "time": float(rng.uniform(400.0, 1200.0)), "station": 0}, _station_shift
