@@ -90,7 +90,7 @@ class FakeRobot:
             else:
                 self.near_surface = False
             self.procedure.move_finished(True)
-        for command in self.procedure.step(self.now):
+        for command in self.procedure.step(self.now, self.now):
             self.commands.append(command)
             self._carry_out(command)
         if not self.states or self.states[-1] != self.procedure.state:

@@ -86,7 +86,7 @@ def changed_cell(tmp_path: Path, old: str, new: str) -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("home_speed: 0.25", "home_speed: 25", r"procedure\.home_speed is 25"),
+        ("home_speed: 0.5", "home_speed: 25", r"procedure\.home_speed is 25"),
         ("  force_abort_n: 1600.0", "  force_abort_n: 1000.0", "must be more than the largest"),
         ("  force_abort_n: 1600.0", "  force_abrot_n: 1600.0", "write force_abort_n"),
         ("    settle: 15.0", "    settle: 0.0", r"timeouts\.settle"),

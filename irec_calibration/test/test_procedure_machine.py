@@ -238,6 +238,15 @@ def test_a_robot_that_does_not_leave_force_control_is_reported() -> None:
     assert not isinstance(robot.commands[-1], MoveLinear)
 
 
+def test_a_cell_whose_clock_stops_is_given_up() -> None:
+    robot = FakeRobot(2).start()
+    robot.run(stop_when="settle")
+    for i in range(100):
+        robot.procedure.step(robot.now, robot.now + 0.1 * i)
+    assert robot.procedure.finished
+    assert "clock" in robot.procedure.stopped_because
+
+
 def test_a_robot_fault_ends_the_run_and_asks_nothing_more() -> None:
     robot = FakeRobot(2).start()
     robot.run(stop_when="settle")

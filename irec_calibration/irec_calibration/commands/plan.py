@@ -60,6 +60,10 @@ def run(args: argparse.Namespace) -> int:
     print(f"pool: {plan.pool.counts()}")
     print(f"N = {len(plan.chosen)} poses by {plan.method}, cover distance {1e3 * f['cover_distance_m']:.1f} mm")
     print(
+        f"spread: {100 * f['edge_share']:.0f} % of the poses in the outer quarter of the surface, nearest neighbours "
+        f"{f['nearest_neighbour_ratio']:.2f} times as far apart as random ones (below 1: clustered)"
+    )
+    print(
         f"O1 = {f['o1']:.4g} N m^2/rad on {f['rank']:.0f} identifiable combinations of compliances, "
         f"condition number {f['condition']:.3g}"
     )

@@ -7,11 +7,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import Header
 
 from irec_msgs.msg import RobotState
 
@@ -37,6 +39,9 @@ class Instruments:
         self._channels: dict[str, int] = {}
         self._types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
+        # a simulated cell that runs faster than real time waits for those who tell it how far they are
+        simulated = bool(node.get_parameter("use_sim_time").value)
+        self._follower = node.create_publisher(Header, "sim/follower", 10) if simulated else None
         self._subscribe("joint_states", JointState, self._joints)
         self._subscribe("tcp_pose", PoseStamped, self._tcp)
         self._subscribe("wrench", WrenchStamped, self._wrench)
@@ -50,6 +55,14 @@ class Instruments:
         for topic, types in self._node.get_topic_names_and_types():
             if topic.startswith(prefix) and topic not in self._types and TYPES[Temperature] in types:
                 self._subscribe(topic, Temperature, partial(self._temperature, topic.removeprefix(prefix)))
+
+    def tell_progress(self) -> None:
+        """Tell a simulated cell up to which stamp its readings have been worked off."""
+        newest = self.streams.newest().get("force")
+        if self._follower is not None and newest is not None:
+            seconds = int(newest)
+            stamp = Time(sec=seconds, nanosec=int((newest - seconds) * 1e9))
+            self._follower.publish(Header(stamp=stamp, frame_id=self._node.get_name()))
 
     def record_to(self, recorder: SessionRecorder | None) -> None:
         """Write everything that comes in to this recording; None: to none."""

@@ -91,10 +91,29 @@ def make_plan(
         "o1": observability(reduced, subspace, rows),
         "rank": subspace.rank,
         "condition": condition_number(grams[chosen].sum(axis=0), subspace.rank),
+        "edge_share": edge_share(pool, chosen),
+        "nearest_neighbour_ratio": nearest_neighbour_ratio(pool.p_in_cell[chosen], float(cell.surface.mesh().area.sum())),
         "predicted_uncertainty_rms_m": float(np.sqrt(np.mean(every**2))),
         "predicted_uncertainty_max_m": float(every.max()),
     }
     return Plan(pool, chosen, method, d_max, seed, every.max(axis=1), figures)
+
+
+def edge_share(pool: Pool, chosen: IntArray) -> float:
+    """Share of the chosen poses that lie in the quarter of the pool nearest the edges: 0.25 for a fair spread."""
+    return float(np.mean(pool.edge_distance[chosen] <= np.quantile(pool.edge_distance, 0.25)))
+
+
+def nearest_neighbour_ratio(points: Array, area: float) -> float:
+    """Mean distance to the nearest other pose, over that of as many random points on the area (Clark and Evans 1954).
+
+    Below 1: clustered, above 1: spread out. points: (N, 3), m; area: m^2. NaN for a single pose.
+    """
+    if len(points) < 2:
+        return float("nan")
+    gap = np.linalg.norm(points[:, None] - points, axis=2)
+    np.fill_diagonal(gap, np.inf)
+    return float(gap.min(axis=1).mean() / (0.5 * np.sqrt(area / len(points))))
 
 
 def _reading_noise(cell: Cell, pool: Pool) -> Array:

@@ -17,7 +17,7 @@ from .settings import Settings
 from .settle import Streams, Window, unsettled
 from .table import NEAR_CONTACT, STATES
 
-SILENCE_S = 3.0  # a stream that is older than this has stopped
+SILENCE_S = 3.0  # s of the machine's clock; an instrument that says nothing for longer has stopped
 
 
 @dataclass(frozen=True)
@@ -138,6 +138,8 @@ class Procedure:
         self._pause = False
         self._outcome = ""  # of the pose under way: empty, skipped or broken off
         self._now = 0.0
+        self._clock_moved = 0.0  # machine's clock when the cell's clock last moved
+        self._heard = {name: (-1, 0.0) for name in streams.counts}  # readings so far, machine's clock when they last grew
         self._window: Window | None = None
         self._reference: Window | None = None
         self._recorded = 0
@@ -211,14 +213,16 @@ class Procedure:
 
     # --- the machine ------------------------------------------------------------------------------------------------
 
-    def step(self, now: float) -> list[Command]:
+    def step(self, now: float, steady: float) -> list[Command]:
         """Advance as far as the readings allow and return what is to be done, in order.
 
         Args:
             now: the cell's clock, s; the same clock as the stamps of the readings.
+            steady: the machine's clock, s, which also runs when the cell is dead.
         """
-        self._now = now
-        self._watch()
+        if now != self._now:
+            self._now, self._clock_moved = now, steady
+        self._watch(steady)
         for _ in range(len(STATES)):
             state = STATES[self.state]
             for guard, following in state.leave:
@@ -283,13 +287,19 @@ class Procedure:
         self._cancel_move()
         self._go("position_mode" if self.state in NEAR_CONTACT else "next_pose")
 
-    def _watch(self) -> None:
+    def _watch(self, steady: float) -> None:
         """Conditions that end the run in any state that moves the robot or presses."""
-        if self.state in ("idle", "paused", "finished", "failed") or self.stopped_because:
+        for name, count in self.streams.counts.items():
+            if count != self._heard[name][0]:
+                self._heard[name] = count, steady
+        if self.state in ("idle", "paused", "finished", "failed"):
             return
-        newest = self.streams.newest()
-        for name in ("joints", "force"):
-            if self._now - newest.get(name, self._since) > SILENCE_S:
+        if steady - self._clock_moved > 2 * SILENCE_S:
+            self.fault("the cell's clock stands still")
+        if self.stopped_because:
+            return
+        for name, (_, heard) in self._heard.items():
+            if steady - heard > SILENCE_S:
                 self.stop(f"no {name} readings for {SILENCE_S:g} s")
                 return
         force = self.streams.newest_force

@@ -53,6 +53,7 @@ class Streams:
         self.horizon_s = horizon_s
         self.names: tuple[str, ...] = ()
         self.temperature: dict[str, float] = {}
+        self.counts = {"force": 0, "joints": 0}  # readings so far, of what must never fall silent
         self._force: deque[tuple[float, ...]] = deque()
         self._marker: deque[tuple[float, float, float, float, str]] = deque()
         self._joints: deque[tuple[float, ...]] = deque()
@@ -68,6 +69,7 @@ class Streams:
     def add_wrench(self, t: float, wrench: tuple[float, ...]) -> None:
         """wrench: force (3) and torque (3) of the environment on the robot at the TCP, in tool0."""
         self._add(self._force, (t, *wrench))
+        self.counts["force"] += 1
 
     def add_marker(self, t: float, x: float, y: float, z: float, station: str) -> None:
         """Marker in the frame of its station."""
@@ -79,6 +81,7 @@ class Streams:
             self._joints.clear()
             self.names = names
         self._add(self._joints, (t, *position))
+        self.counts["joints"] += 1
 
     def add_tcp(self, t: float, x: float, y: float, z: float) -> None:
         """TCP by the controller, in base_link."""
