@@ -173,7 +173,7 @@ class Procedure:
     def fault(self, message: str) -> None:
         """The robot reports a fault: nothing more can be asked of it."""
         if self.state not in ("finished", "failed"):
-            self.stopped_because = self.stopped_because or f"robot fault: {message}"
+            self._add_reason(f"robot fault: {message}")
             self._go("failed")
 
     def pause(self) -> None:
@@ -261,10 +261,13 @@ class Procedure:
             self._cancel_move()
             self._go("next_pose")
         elif way == "failed":
-            self.stopped_because = f"{self.stopped_because + '; ' if self.stopped_because else ''}{reason}"
+            self._add_reason(reason)
             self._go("failed")
         else:
             self.stop(reason)
+
+    def _add_reason(self, reason: str) -> None:
+        self.stopped_because = f"{self.stopped_because}; {reason}" if self.stopped_because else reason
 
     def _skip(self, reason: str) -> None:
         self._event("skipped", reason)
