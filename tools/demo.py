@@ -64,7 +64,7 @@ def _run(args: argparse.Namespace) -> None:
     progress = Progress()
     progress.stage("plan", f"planning {args.poses} engagement poses on the mould")
     poses = _plan(args, out)
-    progress.stage("start", "starting the simulated cell, procedure, calibration, correction and recorder")
+    progress.stage("start", "starting the simulated cell, procedure, calibration and recorder")
     with Processes(out / "log", {}) as processes:
         _start(processes, args, out)
         operator = Operator(processes.check)
@@ -99,7 +99,6 @@ def _start(processes: object, args: argparse.Namespace, out: Path) -> None:
     start("procedure", "irec_calibration.nodes.procedure_node", {"cell": cell, "session_folder": str(out), **sim})
     folder = str(out / "calibrations")
     start("calibration", "irec_calibration.nodes.calibration_node", {"cell": cell, "calibration_folder": folder, **sim})
-    start("correction", "irec_correction.nodes.correction_node", {"cell": cell, "autostart": True, **sim})
     topics = "[joint_states, tcp_pose, wrench, tracker/point, robot/state, robot_description, irec/offset, irec/correction/state]"
     recorder = {"output": str(out / "bag"), "topics": topics, "autostart": False, **sim}
     start("recorder", "irec_calibration.nodes.recorder_node", recorder)
