@@ -10,7 +10,7 @@ PACKAGES := irec_calibration irec_correction irec_sim
 INTERFACES := $(wildcard irec_msgs/msg/*.msg irec_msgs/srv/*.srv irec_msgs/action/*.action) irec_msgs/CMakeLists.txt irec_msgs/package.xml
 SETUPS := $(foreach p,$(PACKAGES),$(wildcard $(p)/setup.py $(p)/setup.cfg $(p)/package.xml $(p)/launch/*.launch.py))
 
-.PHONY: help build demo test lint clean
+.PHONY: help build demo test bench lint clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | column -t -s '|'
@@ -30,6 +30,9 @@ demo: build ## calibrate the simulated AFP cell through the nodes and drive a co
 
 test: build ## the whole suite
 	@$(RUN) bash tools/test.sh
+
+bench: build ## how fast things are, one BLAS thread
+	@$(RUN) for script in tools/bench/*.py; do python $$script || exit 1; done
 
 lint: build ## ruff and mypy
 	@$(RUN) ruff check . && mypy $(foreach p,$(PACKAGES),$(p)/$(p))
