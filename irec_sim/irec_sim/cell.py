@@ -167,8 +167,8 @@ class Cell:
         self._q_plain = self._servo.follow(self._q_plain, self._q_command, self.period) if self.mode == POSITION else self._q
         rail_step = (self._rail_command - self._rail) * (1.0 - math.exp(-self.period / self._servo.time_constant))
         self._rail += rail_step
-        self._notice_standing(before)
-        self._settle()
+        moving = self._notice_standing(before)
+        self._settle(moving)
         self._read_force()
 
     def _target(self) -> Array:
@@ -191,12 +191,14 @@ class Cell:
             self._near = self._q_command, pose.R_tool[0], J.T @ np.linalg.inv(J @ J.T + 1e-8 * np.eye(6))
         return self._near[1], self._near[2]
 
-    def _notice_standing(self, before: Array) -> None:
+    def _notice_standing(self, before: Array) -> bool:
+        """Keep the angles at which the arm stood last and before that; whether it moves now."""
         standing = float(np.abs(self._q - before).max()) < _STANDING * self.period
         if not standing and np.abs(self._q - self._stood).max() > 1e-5 and self._stood is not self._leaving:
             self._leaving = self._stood
         if standing:
             self._stood = self._q if np.abs(self._q - self._stood).max() > 1e-5 else self._stood
+        return not standing
 
     def _motor(self) -> Array:
         return motor_angles(self._sensing, self._q, self._q - self._leaving)
@@ -214,11 +216,11 @@ class Cell:
         on = self._process is not None or bool(force.any())
         return Conditions(force[None], np.array([self._rail]), self._gears(self.time)[None], np.array([on]))
 
-    def _settle(self) -> None:
+    def _settle(self, moving: bool) -> None:
         """Equilibrium of arm and contact at the new motor angles.
 
         The lever arms are those of the configuration that the step begins with: they change by 1e-6 of their length in a
-        step, and the next one starts from the new configuration.
+        step, and the next one starts from the new configuration. A free arm that moves winds up no friction: its gears turn.
         """
         plant, q = self._plant, self._motor()[None]
         free = self._process is None and not self._contact.touching
@@ -230,6 +232,8 @@ class Cell:
         in_cell = self._rail * self._rail_axis
         after = Contact()
         conditions = self._make_conditions(force)
+        if free and moving:
+            begin = plant.released(frames, q, conditions, begin)
         c = plant.compliance(q, conditions)
         if self._process is None:
             compliance = plant.tcp_compliance(frames, c)[0]

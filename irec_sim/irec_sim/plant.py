@@ -303,6 +303,13 @@ class Plant:
                 return after, f
         raise SimError(f"no static equilibrium: elastic coordinates still change by {change:.1e} after 80 iterations")
 
+    def released(self, frames: Frames, q: Array, conditions: Conditions, state: State) -> State:
+        """The same state with no friction torque held in the gears, as after some motion."""
+        if not self._has["friction"]:
+            return state
+        axial = (frames.weight_torque + self.load_torque(frames, conditions, q))[:, self.axial]
+        return replace(state, held=np.repeat(axial[..., None], len(_PLAY_LEVELS), axis=2))
+
     def respond(
         self, frames: Frames, q: Array, conditions: Conditions, state: State, c: Array, dt: float | Array
     ) -> tuple[State, Array]:
