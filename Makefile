@@ -9,15 +9,16 @@ RUN := . tools/env.sh &&
 PACKAGES := irec_calibration irec_correction irec_sim
 INTERFACES := $(wildcard irec_msgs/msg/*.msg irec_msgs/srv/*.srv irec_msgs/action/*.action) irec_msgs/CMakeLists.txt irec_msgs/package.xml
 SETUPS := $(foreach p,$(PACKAGES),$(wildcard $(p)/setup.py $(p)/setup.cfg $(p)/package.xml $(p)/launch/*.launch.py))
+LAUNCH := $(foreach p,$(PACKAGES),$(wildcard $(p)/launch/*.launch.py))
 
-.PHONY: help build demo test bench lint clean
+.PHONY: help build demo test lint bench clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | column -t -s '|'
 
 build: $(STAMPS)/workspace ## environment and workspace (done by the others when needed)
 
-$(STAMPS)/environment: tools/setup_env.sh tools/requirements-ros.txt tools/requirements.txt
+$(STAMPS)/environment: tools/setup_env.sh tools/requirements-ros.txt tools/requirements.txt tools/constraints.txt
 	@bash tools/setup_env.sh .venv
 	@mkdir -p $(STAMPS) && touch $@
 
@@ -31,11 +32,13 @@ demo: build ## calibrate the simulated AFP cell through the nodes and drive a co
 test: build ## the whole suite
 	@$(RUN) bash tools/test.sh
 
-bench: build ## how fast things are, one BLAS thread
-	@$(RUN) for script in tools/bench/*.py; do python $$script || exit 1; done
+lint: build ## ruff, mypy, launch files
+	@$(RUN) ruff check .
+	@$(RUN) mypy $(foreach p,$(PACKAGES),$(p)/$(p))
+	@$(RUN) python -c 'import sys; [compile(open(f).read(), f, "exec") for f in sys.argv[1:]]' $(LAUNCH)
 
-lint: build ## ruff and mypy
-	@$(RUN) ruff check . && mypy $(foreach p,$(PACKAGES),$(p)/$(p))
+bench: build ## how fast it is, beside plain ways of doing the same
+	@$(RUN) for file in tools/bench/*.py; do echo "== $$file"; python "$$file" || exit 1; done
 
 clean: ## remove the environment and everything that was built
 	rm -rf .venv build install log out

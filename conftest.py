@@ -34,7 +34,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A ROS_DOMAIN_ID that no other test on this machine uses now; set in the environment together with LOCALHOST."""
     for domain in range(FIRST_DOMAIN, LAST_DOMAIN + 1):
-        lock = open(Path(tempfile.gettempdir()) / f"irec-ros-domain-{domain}.lock", "w")  # noqa: SIM115
+        lock = open(Path(tempfile.gettempdir()) / f"irec-ros-domain-{domain}.lock", "w")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -58,8 +58,8 @@ def start_process(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[byt
     running: list[subprocess.Popen[bytes]] = []
 
     def start(args: list[str], name: str = "process", **options: object) -> subprocess.Popen[bytes]:
-        log = open(tmp_path / f"{name}.log", "wb")  # noqa: SIM115
-        process = subprocess.Popen(args, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, **options)  # type: ignore[call-overload]
+        with open(tmp_path / f"{name}.log", "wb") as log:
+            process = subprocess.Popen(args, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, **options)  # type: ignore[call-overload]
         running.append(process)
         return process
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Source this: the built workspace, nothing leaves the machine, one thread per process for linear algebra.
 _irec_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+# a ROS that the shell has sourced must not leak into this workspace
+unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONPATH
 . "$_irec_root/.venv/setup.bash"
 . "$_irec_root/install/setup.bash"
 export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
