@@ -13,6 +13,7 @@ import shutil
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
@@ -21,10 +22,17 @@ from irec_calibration.poses.plan import make_plan, pose_list
 from irec_calibration.poses.store import read_poses, write_poses
 from irec_calibration.session import read_session
 
+if TYPE_CHECKING:  # these import ROS, which must not happen before its domain is chosen
+    from demo_parts.operator import Operator
+    from demo_parts.processes import Processes
+    from demo_parts.progress import Progress
+
 ROOT = Path(__file__).resolve().parents[1]
 N_POSES, D_MAX, POOL, SEED = 31, 0.175, 3000, 1  # of the plan: paper 4.2.3, d_max in m
 PROCEDURE_TIMEOUT = 600.0  # s of the machine's clock
 COURSE_TIMEOUT = 180.0
+COURSE_SPEED = 2.0  # simulated seconds per second: the correction has to keep up with 250 Hz of the cell's clock
+COURSE_TAKES = 14.0  # s of the machine's clock, about
 SIX, EIGHTEEN = ["joint_torsion"], ["joint_torsion", "link_bending"]
 
 
@@ -69,11 +77,14 @@ def _run(args: argparse.Namespace) -> None:
         _start(processes, args, out)
         operator = Operator(processes.check)
         try:
-            summary = _calibrate_and_drive(operator, progress, args, out, poses)
+            made = _calibrate(operator, progress, args, out, poses)
+            progress.stage("course", "starting the correction, driving the loaded course without it")
+            _start_correction(processes, args)
+            made["courses"] = _drive(operator, progress, out, made["models"]["18 DOF"][0])
         finally:
             operator.close()
     progress.stage("figures", "drawing figures")
-    _draw_and_tell(args, out, summary, progress)
+    _draw_and_tell(args, out, made, progress)
 
 
 def _plan(args: argparse.Namespace, out: Path) -> Path:
@@ -91,8 +102,8 @@ def _plan(args: argparse.Namespace, out: Path) -> Path:
     return write_poses(pose_list(cell, plan), path)
 
 
-def _start(processes: object, args: argparse.Namespace, out: Path) -> None:
-    start = processes.start  # type: ignore[attr-defined]
+def _start(processes: Processes, args: argparse.Namespace, out: Path) -> None:
+    start = processes.start
     sim = {"use_sim_time": True}
     cell = str(args.cell)
     start("cell", "irec_sim.nodes.cell_node", {"cell": cell, "speed_factor": args.speed, "course_csv": str(out / "course.csv")})
@@ -104,13 +115,16 @@ def _start(processes: object, args: argparse.Namespace, out: Path) -> None:
     start("recorder", "irec_calibration.nodes.recorder_node", recorder)
 
 
-def _calibrate_and_drive(operator: object, progress: object, args: argparse.Namespace, out: Path, poses: Path) -> dict:
-    from std_srvs.srv import Trigger
+def _start_correction(processes: Processes, args: argparse.Namespace) -> None:
+    parameters = {"cell": str(args.cell), "autostart": True, "use_sim_time": True}
+    processes.start("correction", "irec_correction.nodes.correction_node", parameters)
 
+
+def _calibrate(operator: Operator, tell: Progress, args: argparse.Namespace, out: Path, poses: Path) -> dict[str, Any]:
+    """Procedure 1 and both models."""
     from irec_msgs.action import RunProcedure
-    from irec_msgs.srv import ActivateModel, SolveCompliances
+    from irec_msgs.srv import SolveCompliances
 
-    ask, tell = operator.call, progress  # type: ignore[attr-defined]
     tell.stage("procedure", f"Procedure 1: {args.poses} poses, 5 load cases each")
     session = out / "session.mcap"
     goal = RunProcedure.Goal(poses_path=str(poses), session_path=str(session))
@@ -123,7 +137,7 @@ def _calibrate_and_drive(operator: object, progress: object, args: argparse.Name
         tell.update(f"pose {f.pose} of {f.poses}, load case {f.load_case} of {f.load_cases}, {f.state}; {left}")
 
     begun = time.monotonic()
-    result = operator.run_procedure(goal, PROCEDURE_TIMEOUT, show)  # type: ignore[attr-defined]
+    result = operator.run_procedure(goal, PROCEDURE_TIMEOUT, show)
     if not result.success:
         raise ValueError(f"Procedure 1 did not come to its end: {result.message}")
     tell.say(result.message)
@@ -132,34 +146,48 @@ def _calibrate_and_drive(operator: object, progress: object, args: argparse.Name
     for name, effects in (("6 DOF", SIX), ("18 DOF", EIGHTEEN)):
         path = out / ("model.yaml" if effects is EIGHTEEN else "model_6dof.yaml")
         request = SolveCompliances.Request(session_path=str(session), effects=effects, model_path=str(path))
-        answer = ask(SolveCompliances, "irec/solve", request, 60.0)
+        answer = operator.call(SolveCompliances, "irec/solve", request, 60.0)
         if not answer.success:
             raise ValueError(f"solving {name}: {answer.message}")
         tell.say(f"{name}: {answer.message}")
         models[name] = (path, answer)
-    tell.stage("course", "driving the loaded course without correction")
-    recording = ask(Trigger, "recorder/start", Trigger.Request(), 10.0)
-    if not recording.success:
-        raise ValueError(f"recording: {recording.message}")
+    return {"session": session, "models": models, "poses": result.poses_recorded, "path_poses": poses}
+
+
+def _drive(operator: Operator, tell: Progress, out: Path, model: Path) -> dict[str, Path]:
+    """The loaded course without and with correction; the tables that the cell writes."""
+    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+    from std_srvs.srv import Trigger
+
+    from irec_msgs.srv import ActivateModel
+
+    def ask(kind: Any, name: str, request: Any, timeout: float, tell_waiting: Any = None) -> None:
+        answer = operator.call(kind, name, request, timeout, tell_waiting)
+        if not answer.success:
+            raise ValueError(f"{name}: {answer.message}")
+
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=COURSE_SPEED)
+    slower = SetParameters.Request(parameters=[Parameter(name="speed_factor", value=value)])
+    operator.call(SetParameters, "cell/set_parameters", slower, 10.0)
+    ask(Trigger, "recorder/start", Trigger.Request(), 10.0)
     courses = {}
     for name in ("without", "with"):
         if name == "with":
-            wanted = ActivateModel.Request(model_path=str(models["18 DOF"][0]))
-            answer = ask(ActivateModel, "irec/correction/activate_model", wanted, 10.0)
-            if not answer.success:
-                raise ValueError(f"the correction refused the model: {answer.message}")
-            tell.say("correction is active; driving the course again")
-        answer = ask(Trigger, "sim/run_course", Trigger.Request(), COURSE_TIMEOUT,
-                     lambda s, name=name: tell.update(f"course {name} correction, {s:.0f} s"))  # fmt: skip
-        if not answer.success:
-            raise ValueError(f"the course could not be driven: {answer.message}")
+            ask(ActivateModel, "irec/correction/activate_model", ActivateModel.Request(model_path=str(model)), 20.0)
+            tell.say("the model is in force; driving the course again with correction")
+
+        def show(seconds: float, name: str = name) -> None:
+            tell.update(f"course {name} correction, {seconds:.0f} s of about {COURSE_TAKES:.0f} s")
+
+        ask(Trigger, "sim/run_course", Trigger.Request(), COURSE_TIMEOUT, show)
         courses[name] = out / f"course_{name}.csv"
         (out / "course.csv").rename(courses[name])
     ask(Trigger, "recorder/stop", Trigger.Request(), 30.0)
-    return {"session": session, "models": models, "courses": courses, "poses": result.poses_recorded, "path_poses": poses}
+    return courses
 
 
-def _draw_and_tell(args: argparse.Namespace, out: Path, made: dict, progress: object) -> None:
+def _draw_and_tell(args: argparse.Namespace, out: Path, made: dict[str, Any], progress: Progress) -> None:
     from demo_parts.course import figures_mm, read_course, reduction_percent
     from demo_parts.figures import course_figure, residuals_figure
     from demo_parts.table import table
@@ -173,7 +201,7 @@ def _draw_and_tell(args: argparse.Namespace, out: Path, made: dict, progress: ob
     deviation = {"without": figures_mm(without.lateral), "with": figures_mm(corrected.lateral)}
     reduction = reduction_percent(deviation["without"], deviation["with"])
     total = {"without": figures_mm(without.total), "with": figures_mm(corrected.total)}
-    wall = progress.finish()  # type: ignore[attr-defined]
+    wall = progress.finish()
     model_path, answer = made["models"]["18 DOF"]
     summary = {
         "format": "irec-summary/1",
