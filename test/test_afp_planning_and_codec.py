@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from irec_calibration.cell import read_cell
 from irec_calibration.poses import plan as plan_module
 from irec_calibration.poses.blocks import observation_blocks

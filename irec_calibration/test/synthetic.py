@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-
 from irec_calibration.robot import Robot
 from irec_calibration.scene import Scene, scene_of
 from irec_calibration.session import Marker, Noise, Session, Station

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import lsq_linear
-
 from irec_calibration.bounded import solve_bounded_gram
 from irec_calibration.errors import SolveError
+from scipy.optimize import lsq_linear
 
 
 def problem(seed, rows, p, kind):

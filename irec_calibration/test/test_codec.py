@@ -7,9 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import nnls
-from synthetic import COMPLIANCE, session
-
 from irec_calibration.cli import main
 from irec_calibration.codec import RIDGE, pose_data, run_codec, split_sizes
 from irec_calibration.errors import PlanError, SolveError
@@ -18,6 +15,8 @@ from irec_calibration.identify import fit, linearise, observe_with_force_noise
 from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, blank_model
 from irec_calibration.poses.select import METHODS, cover
 from irec_calibration.session import Noise, write_table
+from scipy.optimize import nnls
+from synthetic import COMPLIANCE, session
 
 EIGHTEEN, SIX = blank_model(EIGHTEEN_DOF), blank_model(SIX_DOF)
 

@@ -7,15 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from synthetic import session
-
 from irec_calibration.effects import CATALOGUE, absent, find_effect, known_effects
 from irec_calibration.effects.tool_weight import ToolWeight
 from irec_calibration.errors import EffectError
 from irec_calibration.identify import identify
 from irec_calibration.model import EIGHTEEN_DOF, Estimate, Term, blank_model, elastic_response, prepared
 from irec_calibration.scene import scene_of
+from scipy.spatial.transform import Rotation
+from synthetic import session
 
 IDS = [cls.id for cls in CATALOGUE]
 

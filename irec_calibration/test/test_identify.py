@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from synthetic import COMPLIANCE, TRANSVERSE, session
-
 from irec_calibration.errors import SolveError
 from irec_calibration.identify import cross_validated_rms, identify
 from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, blank_model
 from irec_calibration.session import Noise
+from synthetic import COMPLIANCE, TRANSVERSE, session
 
 QUIET = Noise(tracker_m=1e-9)
 

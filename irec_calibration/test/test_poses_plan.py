@@ -11,7 +11,6 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from irec_calibration.cell import Station, read_cell
 from irec_calibration.cli import main
 from irec_calibration.errors import CellError, PlanError

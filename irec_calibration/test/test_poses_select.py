@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from irec_calibration.errors import PlanError
 from irec_calibration.poses.blocks import identifiable_subspace, observability, predicted_uncertainty
 from irec_calibration.poses.select import METHODS, Candidates, cover, cover_distance, select_poses

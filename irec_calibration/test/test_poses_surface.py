@@ -3,10 +3,9 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-
 from irec_calibration.errors import PlanError
 from irec_calibration.surface import Block, MeshSurface, Patch, SurfacePoints, TriangleMesh, distance_along
+from scipy.spatial.transform import Rotation
 
 HERE = (Rotation.from_euler("xyz", [0.3, -0.7, 0.2]).as_matrix(), np.array([1.9, -0.2, 1.1]))
 PATCH = Patch((1.0, 1.6), (2.0, -2.5), *HERE)

@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from synthetic import session
-
 from irec_calibration.identify import identify
 from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, blank_model
+from synthetic import session
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
-from irec_calibration.report import models, samples  # noqa: E402
-from irec_calibration.report.page import Figure, Page, Section, Table, write_page  # noqa: E402
+from irec_calibration.report import models, samples
+from irec_calibration.report.page import Figure, Page, Section, Table, write_page
 
 PNG = b"\x89PNG"
 

@@ -8,10 +8,9 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic import urdf
-
 from irec_calibration.errors import RobotError
 from irec_calibration.robot import Payload, Robot
+from synthetic import urdf
 
 ROBOT = Robot(urdf())
 ANGLES = st.lists(st.floats(-2.5, 2.5), min_size=6, max_size=6).map(np.array)

@@ -9,10 +9,9 @@ import io
 import numpy as np
 import pytest
 import yaml
-from synthetic import session
-
 from irec_calibration.errors import SessionError
 from irec_calibration.session import read_session, write_table
+from synthetic import session
 
 
 @pytest.fixture()

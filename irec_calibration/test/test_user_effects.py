@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic import session
-
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.formula import FormulaEffect
 from irec_calibration.effects.user import effect_from_text, register_file
@@ -20,6 +18,7 @@ from irec_calibration.identify import identify, model_of
 from irec_calibration.model import EIGHTEEN_DOF, Term, blank_model
 from irec_calibration.model_file import load_model, save_model
 from irec_calibration.scene import scene_of
+from synthetic import session
 
 GUIDE = Path(__file__).parents[2] / "docs" / "adding-an-effect.md"
 HARDENING = -4e-14

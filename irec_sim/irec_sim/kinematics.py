@@ -159,7 +159,7 @@ def read_urdf(path: str | Path) -> Chain:
             a = _vector(j.find("axis"), "xyz", "1 0 0")
             limit = j.find("limit")
             default = {"lower": "-6.3", "upper": "6.3", "velocity": "3", "effort": "1e4"}
-            limits.append([float((limit.get(k, d) if limit is not None else d)) for k, d in default.items()])
+            limits.append([float(limit.get(k, d) if limit is not None else d) for k, d in default.items()])
             names.append(j.get("name", ""))
             R_fixed.append(R)
             p_fixed.append(p)

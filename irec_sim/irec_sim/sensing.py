@@ -13,7 +13,6 @@ import numpy as np
 
 from .kinematics import Array, rotation, rotation_of_vector
 
-
 AMBIENT = 22.0  # degC, at which drift and refraction are zero
 
 

@@ -20,8 +20,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import lsq_linear, nnls
-
 from irec_calibration.cell import Cell, read_cell
 from irec_calibration.codec import RIDGE, PoseData, pose_data, run_codec
 from irec_calibration.identify import System, fit, linearise, observe_with_force_noise
@@ -30,6 +28,7 @@ from irec_calibration.poses.blocks import gram, identifiable_subspace, observati
 from irec_calibration.poses.pool import Pool, generate_pool
 from irec_calibration.poses.select import Candidates, cover, select_poses
 from irec_calibration.session import read_session
+from scipy.optimize import lsq_linear, nnls
 
 ROOT = Path(__file__).resolve().parents[2]
 N = 31

@@ -10,7 +10,6 @@ from ..typing import Array
 from .base import Effect, Parameter
 from .scales import typical_compliance
 
-
 AXIS = 1  # index of joint_2
 
 

@@ -10,7 +10,6 @@ from ..typing import Array
 from .base import Effect, Parameter
 from .scales import rated_torque
 
-
 UNDEFINED_SHARE_OF_RATED = 1e-3  # below this share of the rated torque the side on which the gear lies is not defined
 
 

@@ -10,7 +10,6 @@ from ..typing import Array
 from .base import Effect, Parameter
 from .scales import rated_torque, typical_compliance
 
-
 FRACTIONS_OF_RATED = (0.05, 0.15, 0.4, 1.5)
 
 

@@ -10,7 +10,6 @@ from ..typing import Array
 from .base import Effect, Parameter
 from .base_compliance import base_spring_regressor
 
-
 DOF = ("t_x", "t_y", "t_z", "r_x", "r_y", "r_z")
 POWERS = (0, 1, 2)
 

@@ -9,7 +9,6 @@ from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
 
-
 NAMES = ("e_xx", "e_yy", "e_xy", "e_xz", "e_yx", "e_yz", "e_zx", "e_zy")
 LIMIT = 0.5
 
