@@ -10,13 +10,16 @@ from pathlib import Path
 from ..diagnose import Comparison, compare, finite
 from ..diagnose.tables import write_comparison
 from ..model_file import check_belongs, load_model
+from ..report.diagnosis import compare_section
+from ..report.page import Page, write_page
 from ..session import read_session
+from ._report import report
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", help="model.yaml")
     parser.add_argument("session", help="folder of the table, MCAP file or rosbag2 folder")
-    parser.add_argument("-o", "--output", help="folder for residuals.csv (default: none is written)")
+    parser.add_argument("-o", "--output", help="folder for residuals.csv and a report (default: none is written)")
     parser.add_argument("--json", action="store_true", help="machine-readable on standard output")
 
 
@@ -25,7 +28,10 @@ def run(args: argparse.Namespace) -> int:
     check_belongs(model, session.robot, session.serial)
     result = compare(session, model.terms)
     if args.output:
-        write_comparison(result, session, Path(args.output) / "residuals.csv")
+        folder = Path(args.output)
+        write_comparison(result, session, folder / "residuals.csv")
+        title = f"{' + '.join(model.effects)} against {session.name}"
+        report(lambda: [write_page(Page(title, sections=[compare_section(result, session, folder)]), folder / "report.html")])
     print(json.dumps(finite(as_json(result))) if args.json else in_words(result))
     return 0
 

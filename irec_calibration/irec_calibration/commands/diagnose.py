@@ -11,8 +11,10 @@ from pathlib import Path
 from ..diagnose import Diagnosis, diagnose, write_json
 from ..diagnose.tables import write_tables
 from ..model_file import check_belongs, load_model
+from ..report.diagnosis import write_diagnosis_report
 from ..session import read_session
 from ._progress import Progress
+from ._report import report
 
 SHOWN = 5
 
@@ -33,11 +35,12 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.output)
     path = write_json(result.to_json(), folder / "diagnosis.json")
     write_tables(result, session, folder)
+    files = report(lambda: write_diagnosis_report(result, session, folder))
     if args.json:
         print(json.dumps(result.to_json()))
     else:
         print(in_words(result))
-        print(f"wrote {path}")
+        print(f"wrote {path}{', ' + str(files[0]) if files else ''}")
     return 0 if result.verdict.status == "adequate" else 1
 
 

@@ -10,8 +10,10 @@ from pathlib import Path
 from ..diagnose import Ladder, improve, write_json
 from ..diagnose.tables import write_tables
 from ..model_file import check_belongs, load_model, save_model
+from ..report.ladder import write_ladder_report
 from ..session import read_session
 from ._progress import Progress
+from ._report import report
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -34,11 +36,12 @@ def run(args: argparse.Namespace) -> int:
     write_json(ladder.to_json(), folder / "ladder.json")
     write_json(ladder.before.to_json(), folder / "diagnosis.json")
     write_tables(ladder.before, session, folder)
+    files = report(lambda: write_ladder_report(ladder, session, folder))
     if args.json:
         print(json.dumps(ladder.to_json()))
     else:
         print(in_words(ladder))
-        print(f"wrote {path}, ladder.json, diagnosis.json")
+        print(f"wrote {path}, ladder.json, diagnosis.json{', ' + files[0].name if files else ''}")
     return 0
 
 
