@@ -69,6 +69,7 @@ class Cell:
         self._stood = self._leaving = self._q.copy()
         self.offset = np.zeros(3)
         self._setpoint = np.zeros(3)
+        self._freed = False
         self._process: Array | None = None
         self._contact = Contact()
         self._settled_at = np.full((1, cell.chain.n), np.inf)
@@ -127,6 +128,7 @@ class Cell:
     def clear_fault(self) -> None:
         """What an operator does after a collision: drives on again, in position control."""
         self.mode = POSITION
+        self._freed = True
 
     def _refuse_in_fault(self) -> None:
         if self.mode == FAULT:
@@ -251,9 +253,11 @@ class Cell:
             conditions = self._make_conditions(force)
         self._state, _ = plant.respond(frames, q, conditions, begin, c, self.period)
         self._contact, self._force, self._conditions = after, force, conditions
-        if math.sqrt(float(force @ force)) > _COLLISION and self.mode != FAULT:
+        crushed = math.sqrt(float(force @ force)) > _COLLISION
+        if crushed and not self._freed and self.mode != FAULT:
             self._freeze()
             self.mode = FAULT
+        self._freed = self._freed and crushed  # a cleared robot may move out of the tooling
         p_tcp = frames.p_tcp + (self._state.e - begin.e) @ frames.lever[0]
         self._frames = replace(frames, p_tcp=p_tcp)
 
@@ -308,8 +312,8 @@ class Cell:
         reading: tuple[str, Array] | None = None
         if index is not None and not self._noise.drop_outs[index].silent(self.time):
             name, p_station, R_station = self.cell.stations[index]
-            stamp, ambient = np.array([self.time]), np.array([self._ambient(self.time)])
-            clean = tracker_reading(self._sensing, marker[None], index, p_station, R_station, stamp, ambient)[0]
+            shifted, ambient = np.array([self.time >= self._sensing.shift_time]), np.array([self._ambient(self.time)])
+            clean = tracker_reading(self._sensing, marker[None], index, p_station, R_station, shifted, ambient)[0]
             noise = self.cell.noise
             sigma = math.hypot(noise["tracker_m"], noise["tracker_m_per_m"] * float(np.linalg.norm(clean)))
             reading = name, clean + self._noise.tracker(index, self.time, sigma)

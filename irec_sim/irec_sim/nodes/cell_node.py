@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -15,10 +16,10 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped, Vector3, WrenchStamped
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
@@ -34,7 +35,7 @@ from ..truth import make_truth, read_truth
 from .course_side import CourseSide
 from .followers import Followers
 from .loop import SimulationLoop
-from .robot_side import RobotSide
+from .robot_side import FAULT_REASON, RobotSide
 from .streams import LATCHED_QOS, SENSOR_QOS, Stream, Streams, ros_time
 
 RATES = {  # Hz of simulated time
@@ -48,6 +49,7 @@ RATES = {  # Hz of simulated time
     "state": 10.0,
     "diagnostics": 1.0,
 }
+SPIN_TIME = 0.5  # s, after which a node looks whether it is to stop
 MODE_NAMES = {RobotState.MODE_POSITION: "position", RobotState.MODE_FORCE: "force", RobotState.MODE_FAULT: "fault"}
 
 
@@ -176,6 +178,7 @@ class CellNode(Node):
             in_motion=self.robot.in_motion,
             offset=Vector3(x=x, y=y, z=z),
             late_offsets=int(self.cell.late_offsets),
+            message=FAULT_REASON if self.cell.mode == RobotState.MODE_FAULT else "",
         )
         message.header.stamp, message.header.frame_id = self._now, "base_link"
         self._publish_state(message)
@@ -187,10 +190,11 @@ class CellNode(Node):
             "late offsets": str(self.cell.late_offsets),
             "speed factor": f"{self.loop.speed:g}",
         }
+        fault = self.cell.mode == RobotState.MODE_FAULT
         status = DiagnosticStatus(
-            level=DiagnosticStatus.OK,
+            level=DiagnosticStatus.ERROR if fault else DiagnosticStatus.OK,
             name="cell",
-            message="simulated",
+            message=FAULT_REASON if fault else "simulated",
             hardware_id="simulator",
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
@@ -246,16 +250,20 @@ def _problem(name: str, value: float) -> str:
 
 def main() -> int:
     """Run the cell until SIGINT or SIGTERM; 2 where a parameter or file is wrong."""
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # the simulation has to stop before the context goes
+    asked_to_stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: asked_to_stop.set())
     try:
         node = CellNode()
         simulator = Node("simulator")
-        node.course = CourseSide(simulator, node.cell, node.loop, node.robot)
-        course_thread = threading.Thread(target=_spin, args=(simulator, node.loop), name="course", daemon=True)
+        node.course = CourseSide(simulator, node.cell, node.loop, node.robot, asked_to_stop)
+        course_thread = threading.Thread(target=_spin, args=(simulator, node.loop, asked_to_stop), name="course", daemon=True)
         node.loop.start()
         course_thread.start()
-        _spin(node, node.loop)
+        _spin(node, node.loop, asked_to_stop)
         node.loop.stop()
+        course_thread.join(2.0 * SPIN_TIME)
         if node.loop.failure is not None:
             raise node.loop.failure
     except SimError as error:
@@ -266,14 +274,11 @@ def main() -> int:
     return 0
 
 
-def _spin(node: Node, loop: SimulationLoop) -> None:
+def _spin(node: Node, loop: SimulationLoop, asked_to_stop: threading.Event) -> None:
     executor = EventsExecutor()
     executor.add_node(node)
-    try:
-        while rclpy.ok() and loop.failure is None:
-            executor.spin_once(timeout_sec=0.5)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+    while not asked_to_stop.is_set() and loop.failure is None:
+        executor.spin_once(timeout_sec=SPIN_TIME)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
@@ -28,11 +27,14 @@ SAMPLE_STEPS = 5  # steps of the cell between samples of the record
 class CourseSide:
     """Serves on a node of its own, so that the cell goes on listening while the course is being driven."""
 
-    def __init__(self, node: Node, cell: Cell, loop: SimulationLoop, robot: RobotSide) -> None:
-        self._node, self._cell, self._loop, self._robot = node, cell, loop, robot
+    def __init__(
+        self, node: Node, cell: Cell, loop: SimulationLoop, robot: RobotSide, asked_to_stop: threading.Event
+    ) -> None:
+        self._node, self._cell, self._loop, self._robot, self._asked_to_stop = node, cell, loop, robot, asked_to_stop
         description = "file that sim/run_course writes the true path of the TCP to; can be set at any time"
         node.declare_parameter("course_csv", "course.csv", ParameterDescriptor(description=description))
         node.create_service(Trigger, "sim/run_course", self._on_run)
+        node.create_service(Trigger, "sim/clear_fault", self._on_clear)
         self._plan: CoursePlan | None = None
         self._order: Order | None = None
         self._way = self._level = self._direction = 0.0
@@ -76,6 +78,11 @@ class CourseSide:
             response.message, response.success = str(error), False
         return response
 
+    def _on_clear(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._loop.call(self._cell.clear_fault)
+        response.success = True
+        return response
+
     def _run(self) -> Path:
         path = Path(str(self._node.get_parameter("course_csv").value)).absolute()
         cell = self._cell
@@ -106,14 +113,21 @@ class CourseSide:
 
     def _drive(self, motion: Move, record: bool = False) -> None:
         """Carry out one move and wait for its end."""
-        done = threading.Event()
-        order = Order(motion, cancelled=lambda: False, feedback=lambda _: None, ended=lambda _: done.set())
+        done, problems = threading.Event(), list[str]()
+
+        def ended(_: float, problem: str) -> None:
+            problems.append(problem)
+            done.set()
+
+        order = Order(motion, cancelled=lambda: False, feedback=lambda _: None, ended=ended)
         self._robot.begin(order)
         if record:
             self._loop.call(lambda: setattr(self, "_order", order))
         self._wait(done)
         if record:
             self._loop.call(lambda: setattr(self, "_order", None))
+        if problems[0]:
+            raise SimError(problems[0])
 
     def _press(self, direction: float) -> None:
         """Let the process force come (+1) or go (-1) and wait until it has, and the arm has settled."""
@@ -128,7 +142,7 @@ class CourseSide:
 
     def _wait(self, done: threading.Event) -> None:
         while not done.wait(0.2):
-            if self._loop.failure is not None or not rclpy.ok():
+            if self._loop.failure is not None or self._asked_to_stop.is_set():
                 raise SimError("the simulation has ended")
 
 

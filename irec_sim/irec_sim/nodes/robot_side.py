@@ -28,6 +28,7 @@ from .loop import SimulationLoop
 
 ARRIVAL_TIME = 0.15  # s that the servo is given to arrive at the end of the way: ten of its time constants
 FEEDBACK_PERIOD = 0.1  # s of simulated time
+FAULT_REASON = "the robot is in fault after a collision; the operator has to clear it"
 QUATERNION_TOLERANCE = 1e-3  # of the norm
 
 
@@ -36,13 +37,14 @@ class Order:
     """A move to be carried out; the callbacks run in the thread of the simulation.
 
     Attributes:
-        cancelled: asked before each step. feedback: told the share of the way. ended: told the share when standing again.
+        cancelled: asked before each step. feedback: told the share of the way. ended: told the share when standing again,
+            and the reason where the robot stopped by itself.
     """
 
     motion: Motion
     cancelled: Callable[[], bool]
     feedback: Callable[[float], None]
-    ended: Callable[[float], None]
+    ended: Callable[[float, str], None]
     since: float = 0.0
     told: float = 0.0
 
@@ -54,8 +56,7 @@ class RobotSide:
         """rail_speed: velocity limit of the rail, m/s."""
         self._node, self._cell, self._loop, self.rail_speed = node, cell, loop, rail_speed
         self._running: Order | None = None
-        self._share: dict[bytes, float] = {}  # of the way, by id of the goal
-        self._refused: dict[bytes, str] = {}  # reason, by id of the goal
+        self._outcome: dict[bytes, tuple[float, str]] = {}  # share of the way and problem, by id of the goal
         depth = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
         self._action = ActionServer(
             node,
@@ -78,6 +79,10 @@ class RobotSide:
         run = self._running
         if run is None:
             return
+        if self._cell.mode == RobotState.MODE_FAULT:
+            self._running = None
+            run.ended(0.0, FAULT_REASON)
+            return
         t = self._cell.time + self._cell.period - run.since
         if run.cancelled():
             run.motion.way.stop(t)
@@ -88,7 +93,7 @@ class RobotSide:
             run.feedback(fraction)
         if run.motion.way.done(t - ARRIVAL_TIME):
             self._running = None
-            run.ended(fraction)
+            run.ended(fraction, "")
 
     def begin(self, order: Order) -> None:
         """Start a move; from any thread. SimError in force control or while another move is under way."""
@@ -103,31 +108,27 @@ class RobotSide:
     def _accepted(self, handle: ServerGoalHandle) -> None:
         """Begin the move. The goal is executed when the move has ended: an executor polls a callback that waits."""
 
-        key = bytes(handle.goal_id.uuid)
-
-        def ended(fraction: float) -> None:
-            self._share[key] = fraction
+        def ended(fraction: float, problem: str) -> None:
+            self._outcome[bytes(handle.goal_id.uuid)] = fraction, problem
             handle.execute()
 
         try:
             self._start(handle, ended)
         except SimError as error:
-            self._refused[key] = str(error)
-            handle.execute()
+            ended(0.0, str(error))
 
     def _answer_move(self, handle: ServerGoalHandle) -> Move.Result:
-        key = bytes(handle.goal_id.uuid)
-        refused, fraction = self._refused.pop(key, ""), self._share.pop(key, 0.0)
-        if refused:
+        fraction, problem = self._outcome.pop(bytes(handle.goal_id.uuid))
+        if problem:
             handle.abort()
-            return Move.Result(success=False, message=refused)
+            return Move.Result(success=False, message=problem)
         if handle.is_cancel_requested:
             handle.canceled()
             return Move.Result(success=False, message=f"cancelled after {100 * fraction:.0f} % of the way")
         handle.succeed()
         return Move.Result(success=True)
 
-    def _start(self, handle: ServerGoalHandle, ended: Callable[[float], None]) -> None:
+    def _start(self, handle: ServerGoalHandle, ended: Callable[[float, str], None]) -> None:
         self._refuse_unless_free()
         goal: Move.Goal = handle.request
         start = self._loop.call(lambda: self._cell.commanded)
@@ -142,7 +143,7 @@ class RobotSide:
 
     def _refuse_unless_free(self) -> None:
         if self._cell.mode == RobotState.MODE_FAULT:
-            raise SimError("the robot is in fault; only the operator can clear it")
+            raise SimError(FAULT_REASON)
         if self._cell.mode != RobotState.MODE_POSITION:
             raise SimError("moves are refused in force control; switch to position control first")
         if self._running is not None:
