@@ -14,8 +14,8 @@ from .codec import Codec
 from .errors import PlanError
 from .figures import pyplot
 from .growth import Growth, growth_of
-from .typing import Array
 
+_FAR_APART = 8.0  # medians that differ by more than this factor are drawn on a logarithmic axis
 _COLOURS = ("tab:blue", "tab:red", "tab:green", "tab:orange")
 
 
@@ -54,10 +54,10 @@ def save_chart(codecs: Sequence[Codec], path: str | Path, title: str = "") -> Pa
     plt = pyplot()
     figure, axes = plt.subplots(2, 1, figsize=(11, 8), sharex=True, constrained_layout=True)
     for ax, kind, what in zip(axes, ("norm_mean", "norm_max"), ("Mean", "Maximum"), strict=True):
-        top = _draw(ax, codecs, kind)
+        _draw(ax, codecs, kind)
+        _scale(ax, codecs, kind)
         ax.set_ylabel(f"{what} error on\nverification poses [mm]")
-        ax.set_ylim(0.0, top)
-        ax.grid(axis="y", color="0.9")
+        ax.grid(axis="y", which="both", color="0.92")
         ax.set_axisbelow(True)
     axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(codecs) + 1, frameon=False, fontsize=9)
     n_c = codecs[0].norm_mean.shape[1]
@@ -72,10 +72,9 @@ def save_chart(codecs: Sequence[Codec], path: str | Path, title: str = "") -> Pa
     return path
 
 
-def _draw(ax: Any, codecs: Sequence[Codec], kind: str) -> float:
-    """Boxes, medians, floor and saturation of every CODEC; returns the upper limit of the axis, mm."""
+def _draw(ax: Any, codecs: Sequence[Codec], kind: str) -> None:
+    """Boxes, medians, floor and saturation of every CODEC, in mm."""
     width = 0.8 / len(codecs)
-    limits = []
     for k, codec in enumerate(codecs):
         colour, values = _COLOURS[k % len(_COLOURS)], 1e3 * getattr(codec, kind)
         shift = (k - (len(codecs) - 1) / 2) * width
@@ -89,11 +88,8 @@ def _draw(ax: Any, codecs: Sequence[Codec], kind: str) -> float:
         label = f"{codec.label}: median {np.median(values[:, -1]):.3f} mm at the end" if kind == "norm_mean" else None
         ax.plot(at, np.median(values, axis=0), color=colour, linewidth=0.8, label=label)
         _draw_saturation(ax, codec, colour, kind == "norm_mean")
-        limits.append(_upper_limit(values))
     floor = 1e3 * (codecs[0].floor_mean if kind == "norm_mean" else codecs[0].floor_max)
     ax.axhline(floor, color="black", linestyle="--", linewidth=1, label=f"instrument noise alone, {floor:.3f} mm")
-    return max(*limits, 1.3 * floor)
-
 
 def _draw_saturation(ax: Any, codec: Codec, colour: str, named: bool) -> None:
     try:
@@ -107,7 +103,16 @@ def _draw_saturation(ax: Any, codec: Codec, colour: str, named: bool) -> None:
         ax.axvspan(low - 0.5, high + 0.5, color=colour, alpha=0.06, linewidth=0)
 
 
-def _upper_limit(values: Array) -> float:
-    """An axis limit that shows the growth: what is larger with the very first poses runs out of the chart."""
-    first = min(2, values.shape[1] - 1)
-    return 1.15 * float(np.percentile(values[:, first:], 99.5))
+def _scale(ax: Any, codecs: Sequence[Codec], kind: str) -> None:
+    """An axis that shows the growth: what is larger with the first two poses runs out of it; logarithmic where curves differ a lot."""
+    first = min(2, codecs[0].norm_mean.shape[1] - 1)
+    values = [1e3 * getattr(codec, kind)[:, first:] for codec in codecs]
+    medians = np.concatenate([np.median(v, axis=0) for v in values])
+    top = max(float(np.percentile(v, 99.5)) for v in values)
+    floor = 1e3 * (codecs[0].floor_mean if kind == "norm_mean" else codecs[0].floor_max)
+    if medians.max() > _FAR_APART * medians.min():
+        ax.set_yscale("log")
+        ax.set_ylim(0.7 * min(floor or np.inf, *(float(v.min()) for v in values)), 1.5 * top)
+        ax.yaxis.set_major_formatter("{x:g}")
+    else:
+        ax.set_ylim(0.0, max(1.15 * top, 1.3 * floor))
