@@ -15,7 +15,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("irec_calibration", "irec_correction", "irec_sim")
-ROS_MODULES = re.compile(r"^(rclpy|rosidl\w*|[a-z_]+_msgs|rcl_interfaces|builtin_interfaces|std_srvs|ament_index_python)$")
+ROS_MODULES = re.compile(r"^(rclpy|launch|launch_ros|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|ament_index_python)$")
 # distribution -> import name, where they differ
 PYPI = {"pin": "pinocchio", "PyYAML": "yaml", "mcap-ros2-support": "mcap_ros2", "python-can": "can", "scikit-learn": "sklearn"}
 
@@ -59,13 +59,49 @@ def test_what_is_imported_is_declared(package):
     assert not used - declared
 
 
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_ros_packages_that_are_declared_are_those_that_are_imported(package):
+    tree = ElementTree.parse(ROOT / package / "package.xml").getroot()
+    declared = {e.text for e in tree if e.tag == "exec_depend" and ROS_MODULES.match(e.text or "")}
+    files = [*sources(package), *(ROOT / package / "launch").glob("*.launch.py")]
+    assert declared == {m for p in files for m in imports(p) if ROS_MODULES.match(m)}
+
+
 @pytest.mark.parametrize("package", (*PACKAGES, "irec_msgs"))
 def test_versions_and_licence_agree(package):
     tree = ElementTree.parse(ROOT / package / "package.xml").getroot()
     assert tree.get("format") == "3"
     assert tree.findtext("license") == "Apache-2.0"
     if package in PACKAGES:
+        setup = (ROOT / package / "setup.py").read_text()
+        assert f'version="{tree.findtext("version")}"' in setup
+        assert 'license="Apache-2.0"' in setup
         assert tree.findtext("version") == importlib.import_module(package).__version__
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_executables_are_installed_where_ros2_run_finds_them(package):
+    assert (ROOT / package / "setup.cfg").read_text().count(f"=$base/lib/{package}\n") == 2
+    assert (ROOT / package / "resource" / package).is_file()
+
+
+def test_each_target_that_make_help_lists_runs_a_file_that_exists():
+    makefile = (ROOT / "Makefile").read_text()
+    named = re.findall(r"\b(tools/[\w/.-]+\.(?:py|sh|txt))\b", makefile)
+    assert named
+    assert not [name for name in named if not (ROOT / name).is_file()]
+
+
+def test_launch_files_start_executables_that_the_packages_install():
+    installed = {
+        (package, name)
+        for package in PACKAGES
+        for name in re.findall(r'"([\w-]+) = [\w.]+:\w+"', (ROOT / package / "setup.py").read_text())
+    }
+    for path in sorted(ROOT.glob("irec_*/launch/*.launch.py")):
+        started = re.findall(r'package="(\w+)",\s*executable="([\w-]+)"', path.read_text())
+        assert started, path
+        assert set(started) <= installed, path
 
 
 @pytest.mark.parametrize("package", PACKAGES)
