@@ -33,6 +33,8 @@ class Fault(StrEnum):
     JOINTS_NAMES = "joints_names"
     JOINTS_CLOCK = "joints_clock"
     ROBOT_CHANGED = "robot_changed"
+    OFFSET_STALE = "offset_stale"
+    OFFSET_NOT_FINITE = "offset_not_finite"
     OUTSIDE_JOINTS = "outside_joints"
     OUTSIDE_WRENCH = "outside_wrench"
 

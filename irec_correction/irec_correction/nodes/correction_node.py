@@ -73,7 +73,11 @@ class CorrectionNode(LifecycleNode):
         self._warm_up()
         self.create_subscription(String, "robot_description", self._on_description, LATCHED_QOS)
         if self._autostart and self._p["cell"]:
-            self.trigger_configure()
+            self._configure_and_activate()
+
+    def _configure_and_activate(self) -> None:
+        if self.trigger_configure() is TransitionCallbackReturn.SUCCESS and self._model_file is not None:
+            self.trigger_activate()
 
     def _warm_up(self) -> None:
         self._offset, self._state, self._process = TransformStamped(), CorrectionState(), WrenchStamped()
@@ -230,7 +234,7 @@ class CorrectionNode(LifecycleNode):
         self._described = message.data
         if self._correction is None:
             if self._autostart and not self._p["cell"]:
-                self.trigger_configure()
+                self._configure_and_activate()
         elif self._robot is not None and Robot(message.data, "robot_description").sha256 != self._robot.sha256:
             self._correction.watchdog.refuse(Fault.ROBOT_CHANGED, "robot_description is not that of the model in force")
 

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the offset that goes to the robot comes from: the chain in this very process, or another process by shared memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from irec_calibration.model import Model
+from irec_calibration.robot import Robot
+from irec_calibration.tool_load import ToolLoad
+from irec_calibration.typing import Array
+
+from ..conditioning import Cable, Conditioner, FilterSettings, make_filters, sensor_in_tool
+from ..correction import Correction, CorrectionSettings
+from ..errors import CorrectionError
+from ..limits import OffsetLimiter
+from ..shared import SharedValues
+from ..state import State, Supervisor
+from ..watchdog import Fault, Finding
+from .codec import RobotPacket
+
+# wrench block: time (CLOCK_MONOTONIC), counter, status bits, wrench(6)
+WRENCH_SIZE = 9
+# offset block: time (CLOCK_MONOTONIC), wanted (0 or 1), translation(3), rotation vector(3)
+OFFSET_SIZE = 8
+
+
+class OffsetSource(Protocol):
+    """What the loop asks once per packet."""
+
+    state: State
+    reason: str
+
+    def offset(self, packet: RobotPacket, now: float) -> tuple[Array, Array]:
+        """Translation (3,), m, and rotation vector (3,), rad, to be sent; now: CLOCK_MONOTONIC, s."""
+        ...
+
+    def start(self, now: float) -> None: ...
+
+    def stop(self, now: float) -> None: ...
+
+
+@dataclass(frozen=True)
+class ChainSettings:
+    """Everything that the loop's process needs to run the chain by itself; sent to it once.
+
+    Attributes:
+        urdf_text: robot description. wrench_block: name of the shared memory that the sensor's process writes.
+        raw: the block holds readings in `sensor_frame`; otherwise wrenches at the TCP.
+    """
+
+    correction: CorrectionSettings
+    filters: FilterSettings
+    urdf_text: str
+    wrench_block: str
+    raw: bool = False
+    sensor_frame: str = "ft_sensor"
+    load: ToolLoad = ToolLoad()
+    cable: Cable = Cable()
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+
+
+class ChainSource:
+    """The whole chain: joint angles from the packet, wrench from the sensor's shared memory. No ROS anywhere."""
+
+    def __init__(self, settings: ChainSettings) -> None:
+        robot = Robot(settings.urdf_text, "robot description")
+        self._frame = settings.sensor_frame if settings.raw else "tool0"
+        sensor = sensor_in_tool(robot, settings.sensor_frame) if settings.raw else None
+        conditioner = Conditioner(
+            make_filters(settings.filters), sensor, settings.load, settings.cable, settings.gravity
+        )
+        self.chain = Correction(settings.correction, robot, conditioner)
+        self._block_name, self._block = settings.wrench_block, None
+        self._values = np.zeros(WRENCH_SIZE)
+        self._version = 0
+        self._tries = 0
+
+    @property
+    def state(self) -> State:
+        return self.chain.supervisor.state
+
+    @property
+    def reason(self) -> str:
+        return self.chain.supervisor.reason
+
+    def put_in_force(self, model: Model, now: float) -> None:
+        """Follow another model. Raises CorrectionError."""
+        self.chain.put_in_force(model, now)
+
+    def start(self, now: float) -> None:
+        self.chain.start(now)
+
+    def stop(self, now: float) -> None:
+        self.chain.stop(now)
+
+    def offset(self, packet: RobotPacket, now: float) -> tuple[Array, Array]:
+        self.chain.take_joints(now, now, packet.q, float(packet.external[0]))
+        self._take_wrench(now)
+        out = self.chain.tick(now)
+        return out.translation, out.rotation
+
+    def _take_wrench(self, now: float) -> None:
+        if self._block is None:
+            self._tries += 1
+            if self._tries % 64 != 1:  # looking for the block costs a system call
+                return
+            try:
+                self._block = SharedValues.attach(self._block_name, WRENCH_SIZE)
+            except CorrectionError:
+                return
+        version = self._block.version
+        if version == self._version or not self._block.read(self._values):
+            return
+        if version < self._version:  # the sensor's process was started anew
+            self._version = 0
+        self._version = version
+        status = int(self._values[2])
+        self.chain.take_wrench(float(self._values[0]), now, self._frame, self._values[3:9].copy(), f"status {status:#x}" if status else "")
+
+
+class GivenSource:
+    """Offsets that another process writes, for example from the topic irec/offset: limited again here, held, then faded when stale."""
+
+    def __init__(self, settings: CorrectionSettings, block: SharedValues, timeout: float) -> None:
+        """Args: timeout: s without a new offset."""
+        self._block, self._timeout = block, timeout
+        self._supervisor = Supervisor(replace(settings.times, ramp_in=0.0))
+        self._limiter = OffsetLimiter(settings.limits, settings.period)
+        self._period = settings.period
+        self._values = np.zeros(OFFSET_SIZE)
+        self._last: float | None = None
+        self._wanted = np.zeros(6)
+
+    @property
+    def state(self) -> State:
+        return self._supervisor.state
+
+    @property
+    def reason(self) -> str:
+        return self._supervisor.reason
+
+    def start(self, now: float) -> None:
+        if self.state is State.FAULT:
+            self._supervisor.stop(now, self._present)
+        self._supervisor.start(now, self._present)
+
+    def stop(self, now: float) -> None:
+        self._supervisor.stop(now, self._present)
+
+    @property
+    def _present(self) -> Array:
+        return np.concatenate([self._limiter.translation.value, self._limiter.rotation.value])
+
+    def offset(self, packet: RobotPacket, now: float) -> tuple[Array, Array]:
+        finding = None
+        if not self._block.read(self._values) or not 0.0 <= now - self._values[0] + 1e-3 <= self._timeout:
+            age = now - self._values[0]
+            finding = Finding(Fault.OFFSET_STALE, f"no offset for {age:.3f} s, limit {self._timeout} s")
+        elif not np.all(np.isfinite(self._values)):
+            finding = Finding(Fault.OFFSET_NOT_FINITE, "offset holds NaN or infinity")
+        else:
+            self._wanted = self._values[2:8].copy()
+        dt = self._period if self._last is None else now - self._last
+        self._last = now
+        target = self._supervisor.tick(now, finding, self._wanted, self._present)
+        self._limiter.step(target[:3], target[3:], dt)
+        return self._limiter.translation.value, self._limiter.rotation.value

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values between processes through shared memory: one writer, any number of readers, nobody waits.
+
+A sequence number is odd while the writer is at work; a reader that sees it change reads again.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+import uuid
+from pathlib import Path
+
+import numpy as np
+
+from irec_calibration.typing import Array
+
+from .errors import CorrectionError
+
+_TRIES = 64
+
+
+class SharedValues:
+    """A block of float64 that is read and written as a whole. A value that was never written reads as zeros with `version` 0."""
+
+    def __init__(self, name: str, memory: mmap.mmap, size: int, owner: bool) -> None:
+        self.name = name
+        self._memory, self._owner = memory, owner
+        self._sequence = np.ndarray((1,), dtype=np.uint64, buffer=memory)
+        self._values = np.ndarray((size,), dtype=np.float64, buffer=memory, offset=8)
+
+    @classmethod
+    def create(cls, size: int, name: str | None = None) -> SharedValues:
+        """A new block of `size` numbers; one of that name that a dead process left is replaced."""
+        name = name or f"irec_{uuid.uuid4().hex}"
+        path = _path(name)
+        path.unlink(missing_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        try:
+            os.ftruncate(descriptor, 8 * (size + 1))
+            return cls(name, mmap.mmap(descriptor, 8 * (size + 1)), size, True)
+        finally:
+            os.close(descriptor)
+
+    @classmethod
+    def attach(cls, name: str, size: int) -> SharedValues:
+        """A block that another process created. Raises CorrectionError where there is none or it has another size."""
+        try:
+            descriptor = os.open(_path(name), os.O_RDWR)
+        except OSError as error:
+            raise CorrectionError(f"shared memory '{name}' does not exist; start the process that writes it first") from error
+        try:
+            found = os.fstat(descriptor).st_size
+            if found != 8 * (size + 1):
+                raise CorrectionError(f"shared memory '{name}' has {found} bytes, {8 * (size + 1)} are needed; versions differ")
+            return cls(name, mmap.mmap(descriptor, found), size, False)
+        finally:
+            os.close(descriptor)
+
+    @property
+    def version(self) -> int:
+        """Grows by 2 with each write."""
+        return int(self._sequence[0])
+
+    def write(self, values: Array) -> None:
+        """Replace all values, (size,)."""
+        self._sequence[0] += 1
+        self._values[:] = values
+        self._sequence[0] += 1
+
+    def read(self, into: Array) -> bool:
+        """Copy all values, (size,). False where the writer stopped in the middle of writing; `into` is then not to be used."""
+        for _ in range(_TRIES):
+            before = int(self._sequence[0])
+            into[:] = self._values
+            if before % 2 == 0 and int(self._sequence[0]) == before:
+                return True
+        return False
+
+    def close(self) -> None:
+        """Let go of the block; its creator removes it."""
+        del self._sequence, self._values
+        self._memory.close()
+        if self._owner:
+            _path(self.name).unlink(missing_ok=True)
+
+
+def _path(name: str) -> Path:
+    memory = Path("/dev/shm")
+    return (memory if memory.is_dir() else Path(tempfile.gettempdir())) / name

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The RSI loop against a controller that speaks the same bytes: answers, late packets, lost packets, strangers."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from chain import PERIOD, Q, ROBOT, URDF, WRENCH, model
+from irec_sim.devices.rsi_controller import RobotState, RsiController
+
+from irec_correction.conditioning import FilterSettings
+from irec_correction.correction import CorrectionSettings
+from irec_correction.deflection import Deflection
+from irec_correction.errors import CorrectionError, SettingsError
+from irec_correction.rsi.loop import REPORT_SIZE, Link, RsiLoop
+from irec_correction.rsi.sources import OFFSET_SIZE, WRENCH_SIZE, ChainSettings, ChainSource, GivenSource
+from irec_correction.shared import SharedValues
+from irec_correction.state import State
+
+RATE = CorrectionSettings().limits.translation.rate
+STEP = RATE * PERIOD * (1 + 1e-9) + 2e-7  # packets carry 0.1 um
+PATIENT = replace(  # a shared machine may hold this process up for longer than a real cell would accept
+    CorrectionSettings(),
+    watchdog=replace(CorrectionSettings().watchdog, wrench_timeout=0.2, joints_timeout=0.5, frozen_after=0.3),
+)
+STATE = RobotState(Q, np.array([1.5, 0.0, 1.2]), np.zeros(3))
+LONG = 4.0  # s, in which a chain that works comes to ACTIVE
+
+
+class Cell:
+    """Controller and loop in two threads, wrench written as the sensor's process would."""
+
+    def __init__(self, settings: CorrectionSettings = PATIENT) -> None:
+        self.wrench = SharedValues.create(WRENCH_SIZE)
+        self.report = SharedValues.create(REPORT_SIZE)
+        self.source = ChainSource(ChainSettings(settings, FilterSettings(cutoff=0.0), URDF.read_text(), self.wrench.name))
+        self.source.put_in_force(model(), time.monotonic())
+        self.loop = RsiLoop(Link(port=0), self.source, self.report)
+        self.controller = RsiController(("127.0.0.1", self.loop.port))
+        self.sensor_works, self.running = True, True
+        self.rng, self.count = np.random.default_rng(0), 0
+        self.sent = [np.zeros(3)]
+        self.thread = threading.Thread(target=self.loop.run, args=(lambda: self.running,))
+        self.thread.start()
+
+    def state(self) -> RobotState:
+        if self.sensor_works:
+            self.count += 1
+            noisy = WRENCH + self.rng.normal(0, 0.2, 6)
+            self.wrench.write(np.array([time.monotonic(), self.count, 0.0, *noisy]))
+        return STATE
+
+    def act(self, correction) -> None:
+        self.sent.append(correction.translation)
+
+    def drive(self, seconds: float) -> None:
+        self.controller.run(round(seconds / PERIOD), self.state, self.act)
+
+    def until(self, state: State, seconds: float = LONG) -> None:
+        end = time.monotonic() + seconds
+        while self.source.state is not state:
+            assert time.monotonic() < end, f"{self.source.state.name} ({self.source.reason}) instead of {state.name}"
+            self.drive(0.05)
+
+    @property
+    def largest_step(self) -> float:
+        return float(np.linalg.norm(np.diff(np.array(self.sent), axis=0), axis=1).max())
+
+    def close(self) -> None:
+        self.running = False
+        self.thread.join(5.0)
+        for c in (self.loop, self.controller, self.wrench, self.report):
+            c.close()
+
+
+@pytest.fixture
+def cell():
+    made = Cell()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def active(cell):
+    cell.drive(0.1)
+    cell.source.start(time.monotonic())
+    cell.until(State.ACTIVE)
+    return cell
+
+
+def test_controller_gets_minus_the_deflection_of_the_model_and_its_own_ipoc_back(active):
+    active.drive(0.3)
+    expected, _ = Deflection(model(), ROBOT)(Q, WRENCH[:3], WRENCH[3:], PERIOD)
+    assert np.linalg.norm(active.sent[-1] + expected) < 3e-6
+    assert active.controller.counts.wrong == 0
+    assert active.controller.counts.answered > 0.5 * active.controller.counts.cycles
+    values = np.zeros(REPORT_SIZE)
+    assert active.report.read(values)
+    np.testing.assert_allclose(values[9:12], active.sent[-1], atol=1e-6)
+    np.testing.assert_allclose(values[15:21], Q, atol=1e-6)
+
+
+@pytest.mark.parametrize("packets", [1, 5, 60])
+@pytest.mark.parametrize("way", ["lose_sent", "lose_answers"])
+def test_lost_packets_make_no_step_and_do_not_stop_the_robot(active, packets, way):
+    setattr(active.controller.faults, way, packets)
+    active.drive(0.1 + packets * PERIOD)
+    active.until(State.ACTIVE)
+    assert not active.controller.stopped
+    assert active.controller.counts.most_late_in_a_row >= packets
+    assert active.largest_step <= STEP
+
+
+def test_two_hundred_lost_packets_reach_the_timeout_of_the_robot(active):
+    active.controller.faults.lose_answers = 200
+    active.drive(1.0)
+    assert "100 packets in a row" in active.controller.stopped
+    assert active.largest_step <= STEP
+
+
+def test_a_dead_sensor_is_held_then_faded_while_every_packet_is_answered(active):
+    active.sensor_works = False
+    active.until(State.FAULT)
+    assert active.sent[-1] == pytest.approx(0.0, abs=2e-7)
+    assert active.largest_step <= STEP
+    assert active.controller.counts.most_late_in_a_row < active.controller.timeout
+    assert "no wrench" in active.source.reason
+
+
+def test_another_model_under_way_makes_no_step(active):
+    active.source.put_in_force(model(scale=1.6), time.monotonic())
+    active.until(State.ACTIVE)
+    active.drive(0.7)
+    assert active.largest_step <= STEP
+
+
+def test_of_several_waiting_packets_only_the_newest_is_answered():
+    block = SharedValues.create(OFFSET_SIZE)
+    loop = RsiLoop(Link(port=0), GivenSource(CorrectionSettings(), block, 0.1))
+    controller = RsiController(("127.0.0.1", loop.port))
+    for _ in range(3):
+        controller.cycle(STATE, time.perf_counter())  # no time to answer
+    assert loop.once()
+    assert loop.counts.late_here == 2 and loop.counts.answered == 1
+    controller.counts.late_in_a_row = 0
+    for closed in (loop, controller, block):
+        closed.close()
+
+
+def test_packets_that_are_unreadable_are_counted_and_not_answered():
+    block = SharedValues.create(OFFSET_SIZE)
+    loop = RsiLoop(Link(port=0), GivenSource(CorrectionSettings(), block, 0.1))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(b"hello", ("127.0.0.1", loop.port))
+        assert not loop.once()
+    assert loop.counts.bad == 1
+    loop.close()
+    block.close()
+
+
+def test_a_stranger_is_not_answered():
+    block = SharedValues.create(OFFSET_SIZE)
+    loop = RsiLoop(Link(port=0, peer="127.0.0.2"), GivenSource(CorrectionSettings(), block, 0.1))
+    controller = RsiController(("127.0.0.1", loop.port))
+    controller.cycle(STATE, time.perf_counter())
+    assert not loop.once()
+    assert loop.counts.foreign == 1
+    for closed in (loop, controller, block):
+        closed.close()
+
+
+@pytest.mark.parametrize("link", [{"address": "0.0.0.0"}, {"peer": "0.0.0.0"}, {"peer": "robot"}, {"port": 70000}])
+def test_a_link_that_is_not_one_interface_and_one_peer_is_refused(link):
+    with pytest.raises(SettingsError):
+        Link(**link)
+
+
+def test_an_address_that_this_machine_does_not_have_is_refused():
+    block = SharedValues.create(OFFSET_SIZE)
+    with pytest.raises(CorrectionError, match="192.0.2.1"):
+        RsiLoop(Link(address="192.0.2.1"), GivenSource(CorrectionSettings(), block, 0.1))
+    block.close()
+
+
+def given_source() -> tuple[GivenSource, SharedValues]:
+    block = SharedValues.create(OFFSET_SIZE)
+    return GivenSource(CorrectionSettings(), block, 0.05), block
+
+
+def test_given_offsets_are_followed_then_held_and_faded_when_they_stop():
+    source, block = given_source()
+    wanted = np.array([5e-4, -2e-4, 1e-4])
+    sent, now = [np.zeros(3)], 50.0
+    block.write(np.array([now, 1.0, *wanted, 0, 0, 0]))
+    source.start(now)
+    for i in range(1200):
+        now += PERIOD
+        if i < 400:
+            block.write(np.array([now, 1.0, *wanted, 0, 0, 0]))
+        sent.append(source.offset(None, now)[0].copy())  # type: ignore[arg-type]
+        if i == 399:
+            np.testing.assert_allclose(sent[-1], wanted, atol=1e-9)
+    assert source.state is State.FAULT
+    np.testing.assert_allclose(sent[-1], 0.0, atol=1e-8)
+    assert np.linalg.norm(np.diff(np.array(sent), axis=0), axis=1).max() <= RATE * PERIOD * (1 + 1e-9)
+    block.close()
+
+
+def test_shared_values_of_a_writer_that_died_in_the_middle_are_not_used():
+    block = SharedValues.create(4)
+    reader = SharedValues.attach(block.name, 4)
+    block.write(np.arange(4.0))
+    into = np.zeros(4)
+    assert reader.read(into) and into[3] == 3.0
+    block._sequence[0] += 1
+    assert not reader.read(into)
+    reader.close()
+    block.close()
+    with pytest.raises(CorrectionError, match="does not exist"):
+        SharedValues.attach("irec_nobody_wrote_this", 4)
