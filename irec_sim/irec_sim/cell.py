@@ -60,7 +60,10 @@ class Cell:
         self._force_delay: Delay[Array] = Delay(self.settings.force_delay)
         self._tracker_delay: Delay[tuple[str, Array] | None] = Delay(self.settings.tracker_delay)
         self._heat = np.random.default_rng([seed, 99])
-        self._rise, self._warm_time = self._heat.uniform(6.0, 18.0, cell.chain.n), self._heat.uniform(1200.0, 3600.0, cell.chain.n)
+        self._rise, self._warm_time = (
+            self._heat.uniform(6.0, 18.0, cell.chain.n),
+            self._heat.uniform(1200.0, 3600.0, cell.chain.n),
+        )
         self._swing = self._heat.uniform(0.3, 1.0), self._heat.uniform(1500.0, 3500.0), self._heat.uniform(0.0, 2.0 * math.pi)
         self._q_command, self._rail = cell.home.copy(), 0.0
         self._rail_command = 0.0
@@ -132,7 +135,9 @@ class Cell:
 
     def _refuse_in_fault(self) -> None:
         if self.mode == FAULT:
-            raise SimError(f"the robot is in fault: it met the tooling with more than {_COLLISION:.0f} N; the operator has to clear it")
+            raise SimError(
+                f"the robot is in fault: it met the tooling with more than {_COLLISION:.0f} N; the operator has to clear it"
+            )
 
     def set_force(self, force: Array) -> None:
         """New set point of the force controller, N.
@@ -242,7 +247,9 @@ class Cell:
             for _ in range(_MAX_PASSES):
                 trial, _ = plant.respond(frames, q, conditions, begin, c, self.period)
                 p = frames.p_tcp[0] + (trial.e - begin.e)[0] @ frames.lever[0] + in_cell
-                answer, after = solve_contact(self._disc, self.cell.surface.gap, p - compliance @ force, compliance, self._contact, force)
+                answer, after = solve_contact(
+                    self._disc, self.cell.surface.gap, p - compliance @ force, compliance, self._contact, force
+                )
                 change = float(np.abs(answer - force).max())
                 force = answer
                 if change < _FORCE_TOLERANCE:
@@ -305,7 +312,11 @@ class Cell:
         """
         R = self._frames.R_tool[0]
         marker = self._drifted() + R @ (self.cell.marker_in_tool0 + self._sensing.marker_error) + self._rail * self._rail_axis
-        moved = self._sight is None or np.abs(self._sight[0] - self._q).max() > _POSE_REUSE or abs(self._sight[1] - self._rail) > _POSE_REUSE
+        moved = (
+            self._sight is None
+            or np.abs(self._sight[0] - self._q).max() > _POSE_REUSE
+            or abs(self._sight[1] - self._rail) > _POSE_REUSE
+        )
         if moved:
             self._sight = self._q, self._rail, visible(self.cell, self._q, self._rail, marker)
         index = self._sight[2] if self._sight is not None else None

@@ -144,6 +144,10 @@ def find_cell(name: str) -> Path:
     raise SimError(f"cell '{name}': no such file, and no config/cells/{name}.yaml above {Path.cwd()} or {here.parent}")
 
 
+def _station(data: dict[str, Any]) -> tuple[str, Array, Array]:
+    return data["name"], np.array(data["xyz"], dtype=float), rotation_of_quaternion(np.array(data["quat_xyzw"]))
+
+
 def read_cell(name: str | Path) -> CellFile:
     """Read a cell file, by path or name (`afp`, `milling`).
 
@@ -172,9 +176,7 @@ def read_cell(name: str | Path) -> CellFile:
             name=data["name"], path=path, chain=read_urdf(urdf), urdf=urdf, serial=robot["serial"],
             home=np.array(robot["home"], dtype=float), rail=rail,
             marker_in_tool0=np.array(tool["marker_in_tool0"], dtype=float), pad_radius=float(tool["pad_radius"]), surface=shape,
-            stations=tuple(
-                (s["name"], np.array(s["xyz"], dtype=float), rotation_of_quaternion(np.array(s["quat_xyzw"]))) for s in data["stations"]
-            ),
+            stations=tuple(_station(s) for s in data["stations"]),
             load_cases=cases, load_case_names=("normal", "N", "S", "E", "W"), friction=float(loads["friction"]),
             approach_distance=float(data["approach_distance"]), reference_distance=float(data["reference_distance"]),
             noise={k: float(v) for k, v in data["noise"].items()}, course=data.get("course", {}),

@@ -34,7 +34,10 @@ def _session(args: argparse.Namespace) -> int:
         truth, shown = scale_to_share(cell, truth, args.strength, args.truth_seed)
         for h in truth.hidden:
             if h.effect not in shown:
-                print(f"irec-sim: {h.effect} does not reach {args.strength:g} of the deflection with these parameters", file=sys.stderr)
+                print(
+                    f"irec-sim: {h.effect} does not reach {args.strength:g} of the deflection with these parameters",
+                    file=sys.stderr,
+                )
     made = generate(cell, truth, args.poses, args.seed, args.repeats)
     folder = write_session(made, args.output, args.name or Path(args.output).name)
     if args.truth_out is not None:
@@ -63,7 +66,14 @@ def _hidden(args: argparse.Namespace) -> int:
                 kind = "single" if e in CATALOGUE else "outside"
                 cases += [Case(kind, (e,), s) for s in strengths for _ in range(args.repeats)]
     truth = write_matrix(
-        args.out, args.seed, cases, args.poses, args.validation_poses, args.clean, args.pairs, lambda text: print(text, flush=True)
+        args.out,
+        args.seed,
+        cases,
+        args.poses,
+        args.validation_poses,
+        args.clean,
+        args.pairs,
+        lambda text: print(text, flush=True),
     )
     print(f"sessions in {args.out}, truth in {truth}")
     return 0
@@ -75,7 +85,9 @@ def _parser() -> argparse.ArgumentParser:
     session = commands.add_parser("session", help="write one synthetic calibration session in the table form")
     session.add_argument("--cell", default="afp", help="afp, milling or a cell file (default: afp)")
     session.add_argument("--truth", help="truth file; without one the default truth of the cell")
-    session.add_argument("--effect", action="append", metavar="ID", help=f"hidden effect with drawn parameters: {', '.join(EFFECTS)}")
+    session.add_argument(
+        "--effect", action="append", metavar="ID", help=f"hidden effect with drawn parameters: {', '.join(EFFECTS)}"
+    )
     session.add_argument("--truth-seed", type=int, default=0, help="draws what the truth leaves open (default: 0)")
     session.add_argument("--strength", type=float, help="scale each hidden effect to this share of the RMS deflection, e.g. 0.08")
     session.add_argument("--poses", type=int, default=31)

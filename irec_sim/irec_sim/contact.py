@@ -70,7 +70,9 @@ def contact_force(disc: Disc, gap: Gap, p: Array, memory: Contact) -> tuple[Arra
     if sliding.any():
         for i in np.flatnonzero(sliding):
             direction = stretch[i] * (stiffness[i] / pull[i])
-            derivative += direction[:, None] * (stiffness[i] * share[i] * direction + disc.friction * RING_PRESSURE[i] * slope * n)
+            derivative += direction[:, None] * (
+                stiffness[i] * share[i] * direction + disc.friction * RING_PRESSURE[i] * slope * n
+            )
     return pressure * n - stiffness @ held, derivative, Contact(p - held, True)
 
 

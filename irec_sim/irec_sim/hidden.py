@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The blind matrix: many sessions with hidden effects under opaque names, the truth in a folder of its own.
 
-    DIR/sessions/<name>      what a diagnosis gets
-    DIR/validation/<name>    the same robot at other poses
-    DIR-truth/<name>         truth.yaml, truth.csv: noise-free TCP deflection in each row of the validation session
-    DIR-truth/matrix.csv     name, cell, kind, effects, strength (share of the RMS deflection), visible, scales
+DIR/sessions/<name>      what a diagnosis gets
+DIR/validation/<name>    the same robot at other poses
+DIR-truth/<name>         truth.yaml, truth.csv: noise-free TCP deflection in each row of the validation session
+DIR-truth/matrix.csv     name, cell, kind, effects, strength (share of the RMS deflection), visible, scales
 """
 
 from __future__ import annotations
@@ -73,9 +73,9 @@ def write_matrix(
     """
     folder = Path(folder)
     truth_folder = folder.with_name(folder.name + "-truth")
-    for f in (folder, truth_folder):
-        if f.exists() and any(f.iterdir()):
-            raise SimError(f"{f}: exists and is not empty; name another folder with --out")
+    for place in (folder, truth_folder):
+        if place.exists() and any(place.iterdir()):
+            raise SimError(f"{place}: exists and is not empty; name another folder with --out")
     rng = np.random.default_rng([seed, 5])
     todo = list(matrix_cases(rng, clean, pairs) if cases is None else cases)
     order = rng.permutation(len(todo))

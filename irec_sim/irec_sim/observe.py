@@ -14,7 +14,7 @@ from .cellfile import CellFile
 from .kinematics import Array, forward
 from .plant import Conditions, Plant, State
 from .poses import Poses
-from .sensing import drift_at, force_reading, motor_angles, tracker_reading
+from .sensing import SensingParameters, drift_at, force_reading, motor_angles, tracker_reading
 from .truth_catalogue import Physics
 
 DISC_NORMAL = 4.0e6  # N/m, of the urethane disc
@@ -99,6 +99,7 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
         pose = forward(chain, q)
         q = q + _solve(pose.jacobian(), p_reference - pose.p_tcp)
     collected: dict[str, list[Array]] = {k: [] for k in ("q", "controller", "marker", "distance", "reading", "tcp")}
+    shifted = _after_shift(schedule, sensing)
     state: State | None = None
     p_contact = np.zeros((N, 3))
     for j in range(rows):
@@ -133,7 +134,7 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
         for s, (_, p_station, R_station) in enumerate(cell.stations):
             by = schedule.station == s
             in_cell = p_marker[by] + base_in_cell[by]
-            measured[by] = tracker_reading(sensing, in_cell, s, p_station, R_station, schedule.stamp[by, j], schedule.ambient[by, j])
+            measured[by] = tracker_reading(sensing, in_cell, s, p_station, R_station, shifted[by, j], schedule.ambient[by, j])
             distance[by] = np.linalg.norm(in_cell - p_station, axis=1)
         collected["q"].append(q)
         collected["controller"].append(controller.p_tcp)
@@ -148,9 +149,18 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
     )  # fmt: skip
 
 
+def _after_shift(schedule: Schedule, sensing: SensingParameters) -> Array:
+    """Rows after the station was bumped, (N, M + 1) bool: in the midst of a pose that it sees, where it can be noticed."""
+    N, rows = schedule.stamp.shape
+    seen = np.flatnonzero(schedule.station == sensing.shift_station)
+    place = sensing.shift_share * len(seen)
+    if int(place) >= len(seen):
+        return np.zeros((N, rows), dtype=bool)
+    row = 1 + int((place - int(place)) * (rows - 1))
+    return schedule.stamp >= schedule.stamp[seen[int(place)], row]
+
+
 def _solve(jacobian: Array, dp: Array) -> Array:
     """Joint step that moves the TCP by dp (n, 3) and keeps its orientation."""
     twist = np.concatenate([dp, np.zeros_like(dp)], axis=1)
     return np.linalg.solve(jacobian, twist[:, :, None])[..., 0]
-
-

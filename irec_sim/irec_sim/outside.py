@@ -47,6 +47,9 @@ OUTSIDE: dict[str, TruthEffect] = {
     # bolts of the tool's flange give way under pressure: rocking compliance grows with the normal force
     "flange_gap": plant_effect(
         lambda rng: {"rocking": list(rng.uniform(0.7, 1.3, 2) * 1e-7), "per_newton": 2e-3},
-        lambda plant, p, s: {"tool": plant.tool + np.array([0, 0, 0, *(s * np.array(p["rocking"])), 0]), "flange_gap": p["per_newton"]},
+        lambda plant, p, s: {
+            "tool": plant.tool + np.array([0, 0, 0, *(s * np.array(p["rocking"])), 0]),
+            "flange_gap": p["per_newton"],
+        },
     ),
 }

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .cellfile import CellFile
 from .errors import SimError
@@ -36,7 +37,7 @@ def tool_frames(normal: Array, turn: Array) -> Array:
     return np.stack([c * x + s * y, c * y - s * x, z], axis=2)
 
 
-def _good(cell: CellFile, q: Array, R: Array) -> Array:
+def _good(cell: CellFile, q: Array, R: Array) -> NDArray[np.bool_]:
     pose = forward(cell.chain, q)
     J = pose.jacobian()
     force = np.einsum("nij,kj->nki", R, cell.load_cases)

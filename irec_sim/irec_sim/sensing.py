@@ -30,7 +30,8 @@ class SensingParameters:
         weight_error: mass that the weight removal forgets, kg.
         tracker_scale: relative.
         station_turn: rotation vector of the true against the stated station frame, (stations, 3), rad.
-        station_shift: displacement of one station from `shift_time` on, in base_link, (3,), m; shift_station: index.
+        station_shift: displacement of one station from some moment on, in base_link, (3,), m; shift_station: index;
+            shift_time: the moment in a cell that runs, s; shift_share: in a generated session, as a share of its poses.
         drift: of the warming arm against the tracker, in base_link, (3,): m/s (drift_kind linear), m in the end
             (warm_up), m/K (ambient).
         marker_error: true minus stated marker position in tool0, (3,), m.
@@ -46,6 +47,7 @@ class SensingParameters:
     station_turn: Array = field(default_factory=lambda: _zeros(1, 3))
     station_shift: Array = field(default_factory=lambda: _zeros(3))
     shift_time: float = np.inf
+    shift_share: float = 1.0
     shift_station: int = 0
     drift: Array = field(default_factory=lambda: _zeros(3))
     drift_kind: str = "linear"
@@ -84,18 +86,18 @@ def drift_at(par: SensingParameters, stamp: Array, ambient: Array) -> Array:
 
 
 def tracker_reading(
-    par: SensingParameters, p_in_cell: Array, station: int, p_station: Array, R_station: Array, stamp: Array, ambient: Array
+    par: SensingParameters, p_in_cell: Array, station: int, p_station: Array, R_station: Array, shifted: Array, ambient: Array
 ) -> Array:
     """Marker in the frame of a station without noise, (n, 3), m.
 
     Args:
         p_in_cell: true marker, in the cell frame, (n, 3).
         station: index; p_station, R_station: its stated pose in the cell frame.
-        stamp: s, (n,); ambient: temperature, degC, (n,).
+        shifted: rows after the station was bumped, (n,) bool; ambient: temperature, degC, (n,).
     """
     p = p_in_cell
     if station == par.shift_station:
-        p = p - par.station_shift * (stamp >= par.shift_time)[:, None]
+        p = p - par.station_shift * shifted[:, None]
     away = p - p_station
     if par.refraction:
         up = np.array([0.0, 0.0, 1.0])

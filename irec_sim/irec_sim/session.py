@@ -106,7 +106,9 @@ def effect_share(cell: CellFile, truth: Truth, effect: str, schedule: Schedule, 
 def force_reading_of(cell: CellFile, truth: Truth, schedule: Schedule) -> Array:
     """What the force sensor reads along a schedule, without noise, (N, M + 1, 3), N."""
     sensing = truth.physics().sensing
-    rows = [force_reading(sensing, cell.sensor_axis, schedule.force[:, j], schedule.poses.R) for j in range(schedule.force.shape[1])]
+    rows = [
+        force_reading(sensing, cell.sensor_axis, schedule.force[:, j], schedule.poses.R) for j in range(schedule.force.shape[1])
+    ]
     return np.stack(rows, axis=1)
 
 
@@ -154,7 +156,9 @@ def write_session(generated: Generated, folder: str | Path, name: str) -> Path:
         "kind": "loaded",
         "robot": {"urdf": "robot.urdf", "serial": cell.serial},
         "marker_in_tool0": cell.marker_in_tool0.tolist(),
-        "stations": [{"name": n, "xyz": p.tolist(), "quat_xyzw": quaternion_of_rotation(R).tolist()} for n, p, R in cell.stations],
+        "stations": [
+            {"name": n, "xyz": p.tolist(), "quat_xyzw": quaternion_of_rotation(R).tolist()} for n, p, R in cell.stations
+        ],
         "noise": dict(cell.noise),
         "load_cases": {j + 1: f.tolist() for j, f in enumerate(cell.load_cases)},
         "load_case_names": {j + 1: n for j, n in enumerate(cell.load_case_names)},
@@ -165,7 +169,19 @@ def write_session(generated: Generated, folder: str | Path, name: str) -> Path:
     joints = [f"joint_{k + 1}" for k in range(cell.chain.n)]
     temperatures = ["temp_ambient"] + [f"temp_gear_{k + 1}" for k in range(cell.chain.n)]
     columns = ["pose", "load_case", "repeat", "stamp", *joints, *(["ext_rail"] if cell.rail is not None else [])]
-    columns += ["tcp_x", "tcp_y", "tcp_z", "marker_x", "marker_y", "marker_z", "station", "force_x", "force_y", "force_z", *temperatures]
+    columns += [
+        "tcp_x",
+        "tcp_y",
+        "tcp_z",
+        "marker_x",
+        "marker_y",
+        "marker_z",
+        "station",
+        "force_x",
+        "force_y",
+        "force_z",
+        *temperatures,
+    ]
     with open(folder / "samples.csv", "w", newline="", encoding="utf-8") as f:
         writer = csv.writer(f, lineterminator="\n")
         writer.writerow(columns)

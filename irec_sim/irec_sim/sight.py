@@ -12,14 +12,19 @@ ARM_RADIUS = 0.15  # m, of upper arm and forearm
 _OWN = 0.25  # m around the marker that belong to the tool and don't hide it
 
 
+def _share(numerator: float, denominator: float) -> float:
+    """Quotient within 0..1; 0 where there is none."""
+    return float(np.clip(numerator / denominator, 0.0, 1.0)) if denominator > 1e-12 else 0.0
+
+
 def _segment_distance(a: Array, b: Array, c: Array, d: Array) -> float:
     """Smallest distance of the segments a-b and c-d, m."""
     u, v, w = b - a, d - c, a - c
     uu, uv, vv, uw, vw = u @ u, u @ v, v @ v, u @ w, v @ w
     det = uu * vv - uv * uv
-    s = min(1.0, max(0.0, (uv * vw - vv * uw) / det)) if det > 1e-12 else 0.0
-    t = min(1.0, max(0.0, (uv * s + vw) / vv)) if vv > 1e-12 else 0.0
-    s = min(1.0, max(0.0, (uv * t - uw) / uu)) if uu > 1e-12 else 0.0
+    s = _share(uv * vw - vv * uw, det)
+    t = _share(uv * s + vw, vv)
+    s = _share(uv * t - uw, uu)
     gap = w + s * u - t * v
     return float(np.sqrt(gap @ gap))
 

@@ -96,9 +96,16 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def make_truth(cell_name: str, effects: list[str], seed: int, spread: float = 0.15, friction: float = _BACKGROUND_FRICTION) -> Truth:
+def make_truth(
+    cell_name: str, effects: list[str], seed: int, spread: float = 0.15, friction: float = _BACKGROUND_FRICTION
+) -> Truth:
     """A truth with the named effects, all parameters drawn from the seed."""
-    return _resolve({"compliance": {"spread": spread}, "background_friction": friction, "effects": [{"effect": e} for e in effects]}, cell_name, seed, "truth")
+    return _resolve(
+        {"compliance": {"spread": spread}, "background_friction": friction, "effects": [{"effect": e} for e in effects]},
+        cell_name,
+        seed,
+        "truth",
+    )
 
 
 def read_truth(path: str | Path, cell_name: str, seed: int = 0) -> Truth:
@@ -121,10 +128,11 @@ def _resolve(data: dict[str, Any], cell_name: str, seed: int, where: str) -> Tru
     stated = data.get("compliance") or {}
     default = _COMPLIANCE["milling" if cell_name == "milling" else "afp"]
     spread = float(stated.get("spread", 0.0))
-    axial = np.array(stated.get("axial", default[0]), dtype=float) * np.exp(spread * rng.standard_normal(6))
-    transverse = np.array(stated.get("transverse", default[1]), dtype=float) * np.exp(spread * rng.standard_normal((6, 2)))
-    if axial.shape != (6,) or transverse.shape != (6, 2):
-        raise SimError(f"{where}: compliance: axial needs 6 values and transverse 6 pairs, rad/(N m)")
+    axial = np.array(stated.get("axial", default[0]), dtype=float)
+    transverse = np.array(stated.get("transverse", default[1]), dtype=float)
+    if axial.shape != (6,) or transverse.shape != (6, 2) or min(axial.min(), transverse.min()) <= 0.0:
+        raise SimError(f"{where}: compliance: axial needs 6 positive values and transverse 6 pairs of them, rad/(N m)")
+    axial, transverse = axial * np.exp(spread * rng.standard_normal(6)), transverse * np.exp(spread * rng.standard_normal((6, 2)))
     hidden = []
     for i, item in enumerate(data.get("effects") or []):
         name = item.get("effect") if isinstance(item, dict) else item
@@ -135,9 +143,9 @@ def _resolve(data: dict[str, Any], cell_name: str, seed: int, where: str) -> Tru
         stated_parameters = (item.get("parameters") or {}) if isinstance(item, dict) else {}
         unknown = set(stated_parameters) - set(drawn)
         if unknown:
-            raise SimError(f"{where}: effects[{i}] {name}: no parameter {', '.join(sorted(unknown))}; there are {', '.join(drawn)}")
+            raise SimError(
+                f"{where}: effects[{i}] {name}: no parameter {', '.join(sorted(unknown))}; there are {', '.join(drawn)}"
+            )
         scale = float(item.get("scale", 1.0)) if isinstance(item, dict) else 1.0
         hidden.append(Hidden(name, {**drawn, **stated_parameters}, scale))
     return Truth(axial, transverse, float(data.get("background_friction", _BACKGROUND_FRICTION)), tuple(hidden))
-
-

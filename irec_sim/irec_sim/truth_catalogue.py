@@ -41,14 +41,20 @@ def direction(rng: np.random.Generator) -> list[float]:
     return list(v / np.linalg.norm(v))
 
 
-def plant_effect(draw: Callable[[np.random.Generator], Parameters], change: Callable[[PlantParameters, Parameters, float], Parameters]) -> TruthEffect:
+def plant_effect(
+    draw: Callable[[np.random.Generator], Parameters], change: Callable[[PlantParameters, Parameters, float], Parameters]
+) -> TruthEffect:
     """An effect that changes fields of the plant."""
     return TruthEffect(draw, lambda physics, p, s: replace(physics, plant=replace(physics.plant, **change(physics.plant, p, s))))
 
 
-def sensing_effect(draw: Callable[[np.random.Generator], Parameters], change: Callable[[SensingParameters, Parameters, float], Parameters]) -> TruthEffect:
+def sensing_effect(
+    draw: Callable[[np.random.Generator], Parameters], change: Callable[[SensingParameters, Parameters, float], Parameters]
+) -> TruthEffect:
     """An effect that changes fields of the instruments."""
-    return TruthEffect(draw, lambda physics, p, s: replace(physics, sensing=replace(physics.sensing, **change(physics.sensing, p, s))))
+    return TruthEffect(
+        draw, lambda physics, p, s: replace(physics, sensing=replace(physics.sensing, **change(physics.sensing, p, s)))
+    )
 
 
 def at_joint(values: Array, joint: int, value: float) -> Array:
@@ -83,7 +89,10 @@ def _weighted(rng: np.random.Generator, size: float) -> Parameters:
 
 
 def _coupling(rng: np.random.Generator) -> Parameters:
-    return {"c_45": float(rng.choice([-1, 1]) * rng.uniform(0.5, 1) * 4e-7), "c_56": float(rng.choice([-1, 1]) * rng.uniform(0.5, 1) * 4e-7)}
+    return {
+        "c_45": float(rng.choice([-1, 1]) * rng.uniform(0.5, 1) * 4e-7),
+        "c_56": float(rng.choice([-1, 1]) * rng.uniform(0.5, 1) * 4e-7),
+    }
 
 
 def _couple(plant: PlantParameters, p: Parameters, s: float) -> Parameters:
@@ -100,7 +109,12 @@ def _traceless(rng: np.random.Generator) -> Parameters:
 
 
 def _station_shift(sensing: SensingParameters, p: Parameters, s: float) -> Parameters:
-    return {"station_shift": s * 1e-4 * np.array(p["direction"]), "shift_time": p["time"], "shift_station": p["station"]}
+    return {
+        "station_shift": s * 1e-4 * np.array(p["direction"]),
+        "shift_time": p["time"],
+        "shift_share": p["share"],
+        "shift_station": p["station"],
+    }
 
 
 def _geometry(rng: np.random.Generator) -> Parameters:
@@ -111,7 +125,10 @@ def _geometry(rng: np.random.Generator) -> Parameters:
 
 
 def _harmonics(rng: np.random.Generator) -> Parameters:
-    return {"sin": (rng.standard_normal((2, 6)) * [[3e-5], [1.5e-5]]).tolist(), "cos": (rng.standard_normal((2, 6)) * [[3e-5], [1.5e-5]]).tolist()}
+    return {
+        "sin": (rng.standard_normal((2, 6)) * [[3e-5], [1.5e-5]]).tolist(),
+        "cos": (rng.standard_normal((2, 6)) * [[3e-5], [1.5e-5]]).tolist(),
+    }
 
 
 def _cable(rng: np.random.Generator) -> Parameters:
@@ -152,13 +169,17 @@ CATALOGUE: dict[str, TruthEffect] = {
     "external_force": plant_effect(
         _cable,
         lambda plant, p, s: {
-            "cable_in_base": s * np.array(p["in_base"]), "cable_in_tool": s * np.array(p["in_tool"]), "cable_wrist": s * np.array(p["wrist"]),
+            "cable_in_base": s * np.array(p["in_base"]),
+            "cable_in_tool": s * np.array(p["in_tool"]),
+            "cable_wrist": s * np.array(p["wrist"]),
         },
     ),
     "geometry_error": plant_effect(
         _geometry,
         lambda plant, p, s: {
-            "joint_zero": s * np.array(p["joint_zero"]), "p_error": s * np.array(p["translation"]), "turn_error": s * np.array(p["turn"]),
+            "joint_zero": s * np.array(p["joint_zero"]),
+            "p_error": s * np.array(p["translation"]),
+            "turn_error": s * np.array(p["turn"]),
         },
     ),
     "sensor_gain": sensing_effect(_traceless, lambda sensing, p, s: {"sensor_matrix": s * np.array(p["matrix"])}),
@@ -166,25 +187,33 @@ CATALOGUE: dict[str, TruthEffect] = {
         lambda rng: {"angle": float(rng.choice([-1, 1]) * 0.03)}, lambda sensing, p, s: {"sensor_turn": s * p["angle"]}
     ),
     "tool_weight": sensing_effect(
-        lambda rng: {"mass": float(rng.choice([-1, 1]) * rng.uniform(3, 6))}, lambda sensing, p, s: {"weight_error": s * p["mass"]}
+        lambda rng: {"mass": float(rng.choice([-1, 1]) * rng.uniform(3, 6))},
+        lambda sensing, p, s: {"weight_error": s * p["mass"]},
     ),
     "station_registration": sensing_effect(
-        lambda rng: {"turn": list(5e-3 * np.array(direction(rng)))}, lambda sensing, p, s: {"station_turn": s * np.array([p["turn"]])}
+        lambda rng: {"turn": list(5e-3 * np.array(direction(rng)))},
+        lambda sensing, p, s: {"station_turn": s * np.array([p["turn"]])},
     ),
     "tracker_scale": sensing_effect(
         lambda rng: {"scale": float(rng.choice([-1, 1]) * 5e-3)}, lambda sensing, p, s: {"tracker_scale": s * p["scale"]}
     ),
     "station_shift": sensing_effect(
-        lambda rng: {"direction": direction(rng), "time": float(rng.uniform(400.0, 1200.0)), "station": 0}, _station_shift
+        lambda rng: {"direction": direction(rng), "share": float(rng.uniform(0.25, 0.75)), "time": 120.0, "station": 0},
+        _station_shift,
     ),
     "thermal_drift": sensing_effect(
-        lambda rng: {"velocity": list(1e-6 * np.array(direction(rng))), "kind": str(rng.choice(["linear", "warm_up", "ambient"]))},
+        lambda rng: {
+            "velocity": list(1e-6 * np.array(direction(rng))),
+            "kind": str(rng.choice(["linear", "warm_up", "ambient"])),
+        },
         lambda sensing, p, s: {
-            "drift": s * np.array(p["velocity"]) * {"linear": 1.0, "warm_up": 900.0, "ambient": 100.0}[p["kind"]], "drift_kind": p["kind"],
+            "drift": s * np.array(p["velocity"]) * {"linear": 1.0, "warm_up": 900.0, "ambient": 100.0}[p["kind"]],
+            "drift_kind": p["kind"],
         },
     ),
     "marker_offset": sensing_effect(
-        lambda rng: {"offset": list(0.02 * np.array(direction(rng)))}, lambda sensing, p, s: {"marker_error": s * np.array(p["offset"])}
+        lambda rng: {"offset": list(0.02 * np.array(direction(rng)))},
+        lambda sensing, p, s: {"marker_error": s * np.array(p["offset"])},
     ),
     "joint_settling": sensing_effect(
         lambda rng: _weighted(rng, 1e-3), lambda sensing, p, s: {"settle": sensing.settle + s * np.array(p["per_joint"])}

@@ -17,9 +17,7 @@ CHAIN = read_cell("afp").chain
 AXIAL = np.array([2.2e-7, 2.0e-7, 2.5e-7, 1.2e-6, 1.3e-6, 2.1e-6])
 TRANSVERSE = np.outer(AXIAL, [0.1, 0.2])
 PLAIN = PlantParameters(AXIAL, TRANSVERSE)
-SPRUNG = replace(
-    PLAIN, base=np.array([1e-9, 2e-9, 3e-9, 1e-8, 2e-8, 3e-8]), tool=np.array([1e-8, 2e-8, 5e-9, 2e-7, 1e-7, 3e-7])
-)
+SPRUNG = replace(PLAIN, base=np.array([1e-9, 2e-9, 3e-9, 1e-8, 2e-8, 3e-8]), tool=np.array([1e-8, 2e-8, 5e-9, 2e-7, 1e-7, 3e-7]))
 Q = np.array([[0.2, -1.4, 1.6, 0.3, 0.9, 0.4]])
 FORCE = np.array([[280.0, -150.0, -1100.0]])
 
