@@ -104,7 +104,7 @@ def _draw_saturation(ax: Any, codec: Codec, colour: str, named: bool) -> None:
 
 
 def _scale(ax: Any, codecs: Sequence[Codec], kind: str) -> None:
-    """An axis that shows the growth: what is larger with the first two poses runs out of it; logarithmic where curves differ a lot."""
+    """An axis that shows the growth: errors with one or two poses may run out of it; logarithmic where curves differ a lot."""
     first = min(2, codecs[0].norm_mean.shape[1] - 1)
     values = [1e3 * getattr(codec, kind)[:, first:] for codec in codecs]
     medians = np.concatenate([np.median(v, axis=0) for v in values])

@@ -3,7 +3,8 @@
 
     python tools/bench/poses_codec.py [--json]
 
-Prints a table: measured, target, and whether it was met. Each ratio comes from one run on the same data.
+Prints a table: measured, target, and whether it was met. Each ratio comes from one run on the same data. Times are processor
+time, which on one thread and an idle machine is wall time, and on a busy one is what wall time would be.
 """
 
 from __future__ import annotations
@@ -57,12 +58,12 @@ class Line:
 
 
 def best_of(repeats: int, work: Callable[[], object]) -> float:
-    """Shortest wall time of several runs, s: what the machine does when nobody else wants it."""
+    """Shortest processor time of several runs, s."""
     times = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         work()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return min(times)
 
 
@@ -132,17 +133,17 @@ def larger_pool(pool: Pool, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bench_selection(cell: Cell) -> list[Line]:
-    start = time.perf_counter()
+    start = time.process_time()
     pool = generate_pool(cell, 3000)
-    lines = [Line("pool of 3000 from the AFP cell, all checks", time.perf_counter() - start, "s")]
+    lines = [Line("pool of 3000 from the AFP cell, all checks", time.process_time() - start, "s")]
     lines.append(Line("COVER, 31 of 3000", 1e3 * best_of(20, lambda: cover(pool.p_in_cell, N)), "ms", 10.0))
     seconds = best_of(3, lambda: ioops_from_joint_angles(cell, pool.q))
     lines.append(Line("IOOPS, 31 of 3000, with kinematics and Jacobians", seconds, "s", 1.0))
     blocks = observation_blocks(cell.robot.kinematics(pool.q), cell.forces_in_tool, cell.marker_in_tool)
     rank = identifiable_subspace(gram(blocks)).rank
-    start = time.perf_counter()
+    start = time.process_time()
     plain, count = ioops_with_one_svd_per_candidate(blocks, rank)
-    plain_seconds = time.perf_counter() - start
+    plain_seconds = time.process_time() - start
     lines.append(Line(f"the same with one SVD per candidate ({count} SVDs, without kinematics)", plain_seconds, "s"))
     lines.append(Line("ratio", plain_seconds / seconds, "x", 30.0))
     same = len(set(plain) & set(ioops_from_joint_angles(cell, pool.q).tolist()))
@@ -175,9 +176,9 @@ def bench_codec() -> list[Line]:
         Line("CODEC, 31 combinations, COVER, 18 DOF, from the observation system on", seconds, "s"),
     ]
     for solver, limit in (("bvls", 20.0), ("trf", None), ("nnls", None)):
-        start = time.perf_counter()
+        start = time.process_time()
         E, C = codec_by_fresh_solves(system, data, solver)
-        fresh = time.perf_counter() - start
+        fresh = time.process_time() - start
         name = f"lsq_linear {solver}" if solver != "nnls" else "nnls (bound 0 only)"
         lines.append(Line(f"the same, fresh solve of the stack at each step, scipy {name}", fresh, "s"))
         lines.append(Line("  ratio", fresh / seconds, "x", limit))
@@ -208,8 +209,9 @@ def main() -> int:
     if args.json:
         print(json.dumps([{"name": x.name.strip(), "value": x.value, "unit": x.unit, "limit": x.limit} for x in lines]))
     else:
-        print("poses and CODEC, one BLAS thread")
+        print("poses and CODEC, one BLAS thread, processor time")
         print("\n".join(str(x) for x in lines))
+        print("lsq_linear trf stops short of the minimum where a single pose leaves combinations open: hence its differences.")
     return 0
 
 
