@@ -63,6 +63,11 @@ class SharedValues:
         """Grows by 2 with each write."""
         return int(self._sequence[0])
 
+    @property
+    def numbers(self) -> Array:
+        """The values in place, for numbers each of which stands alone; not to be used after `close`."""
+        return self._values
+
     def write(self, values: Array) -> None:
         """Replace all values, (size,)."""
         self._sequence[0] += 1

@@ -81,17 +81,25 @@ class LoopCounts:
 class RsiLoop:
     """Receives, asks the source for an offset, answers. Blocks; run it as the only thread of its process."""
 
-    def __init__(self, link: Link, source: OffsetSource, report: SharedValues | None = None, cycle_ms: int = 4) -> None:
+    def __init__(
+        self,
+        link: Link,
+        source: OffsetSource,
+        report: SharedValues | None = None,
+        latency: SharedValues | None = None,
+        cycle_ms: int = 4,
+    ) -> None:
         """Open the socket.
 
         Args:
-            report: block of REPORT_SIZE numbers for monitoring. cycle_ms: 4 (IPO_FAST) or 12 (IPO).
+            report: block of REPORT_SIZE numbers for monitoring. latency: block of KEPT numbers, s from receipt to answer.
+            cycle_ms: 4 (IPO_FAST) or 12 (IPO).
 
         Raises:
             CorrectionError: the address is not one of this machine's, or the port is taken.
         """
         self.link, self.source = link, source
-        self.counts = LoopCounts()
+        self.counts = LoopCounts() if latency is None else LoopCounts(latency=latency.numbers)
         self._report, self._cycle_ms = report, cycle_ms
         self._values = np.zeros(REPORT_SIZE)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

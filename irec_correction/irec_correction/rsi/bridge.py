@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process of the RSI loop: commands come through a pipe, measurements go through shared memory, and it outlives whoever started it.
+
+When the other side goes away the offset fades out and the loop goes on answering with zero, so that the robot is not stopped by its own
+time-out. On SIGINT or SIGTERM it fades out, then ends.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+from irec_calibration.errors import IrecError
+
+from ..correction import CorrectionSettings
+from ..realtime import prefer_thread, settle_memory
+from ..shared import SharedValues
+from ..state import State
+from .loop import KEPT, REPORT_SIZE, Link, RsiLoop
+from .sources import OFFSET_SIZE, ChainSettings, ChainSource, GivenSource
+
+LAST_WORDS = 1.0  # s beyond the fade time within which the loop ends after a signal
+
+
+@dataclass(frozen=True)
+class BridgeSetup:
+    """What the loop needs to begin. Names are those of shared memory blocks that the other side has created.
+
+    Attributes:
+        chain: run the whole chain here; None: follow `offset_block`, stale after `offset_timeout` s.
+        priority: SCHED_FIFO, 0: none.
+    """
+
+    link: Link
+    correction: CorrectionSettings
+    report_block: str
+    latency_block: str
+    chain: ChainSettings | None = None
+    offset_block: str = ""
+    offset_timeout: float = 0.05
+    cycle_ms: int = 4
+    priority: int = 0
+
+
+class Bridge:
+    """Loop, source and commands together."""
+
+    def __init__(self, setup: BridgeSetup, pipe: Connection) -> None:
+        """Raises IrecError where socket, blocks or robot description can't be used."""
+        self._pipe: Connection | None = pipe
+        self._blocks = [SharedValues.attach(setup.report_block, REPORT_SIZE), SharedValues.attach(setup.latency_block, KEPT)]
+        self.source: ChainSource | GivenSource
+        if setup.chain is not None:
+            self.source = ChainSource(setup.chain)
+        else:
+            block = SharedValues.attach(setup.offset_block, OFFSET_SIZE)
+            self._blocks.append(block)
+            self.source = GivenSource(setup.correction, block, setup.offset_timeout)
+        self.loop = RsiLoop(setup.link, self.source, *self._blocks[:2], cycle_ms=setup.cycle_ms)
+        self._told: tuple[State, str] | None = None
+        self._fade = setup.correction.times.fade
+        self._end: float | None = None
+
+    def run(self) -> None:
+        """Answer until a signal, then until the offset has gone."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+        try:
+            self.loop.run(self._goes_on)
+        finally:
+            self.loop.close()
+
+    def _on_signal(self, number: int, frame: object) -> None:
+        if self._end is None:
+            self._end = time.monotonic() + self._fade + LAST_WORDS
+            self.source.stop(time.monotonic())
+
+    def _goes_on(self) -> bool:
+        if self._pipe is not None:
+            self._exchange(self._pipe)
+        if self._end is None:
+            return True
+        return self.source.state not in (State.INACTIVE, State.FAULT) and time.monotonic() < self._end
+
+    def _exchange(self, pipe: Connection) -> None:
+        try:
+            if pipe.poll(0):
+                pipe.send(("answer", self._obey(*pipe.recv())))
+            now = (self.source.state, self.source.reason)
+            if now[0] is not (self._told[0] if self._told else None):
+                self._told = now
+                pipe.send(("state", (int(now[0]), now[1])))
+        except (EOFError, OSError):
+            self._pipe = None
+            self.source.stop(time.monotonic())
+            print("rsi_bridge: the ROS side has gone; the offset fades out, packets are answered with zero", file=sys.stderr)
+
+    def _obey(self, command: str, argument: object = None) -> str:
+        """Carry out a command; empty, or why not."""
+        now = time.monotonic()
+        try:
+            match command:
+                case "model" if isinstance(self.source, ChainSource):
+                    self.source.put_in_force(argument, now)  # type: ignore[arg-type]
+                case "start":
+                    self.source.start(now)
+                case "stop":
+                    self.source.stop(now)
+                case other:
+                    return f"the RSI loop can't {other} here"
+        except IrecError as error:
+            return str(error)
+        return ""
+
+
+def run_bridge(pipe: Connection) -> int:
+    """Body of the process: receive a BridgeSetup (or None: end) through the pipe, then answer. Exit code."""
+    try:
+        setup = pipe.recv()
+    except (EOFError, KeyboardInterrupt):
+        return 2
+    if setup is None:
+        return 2
+    refused = [prefer_thread(setup.priority)]
+    try:
+        bridge = Bridge(setup, pipe)
+    except IrecError as error:
+        pipe.send(("failed", str(error)))
+        return 2
+    refused += settle_memory()
+    pipe.send(("ready", (bridge.loop.port, [r for r in refused if r])))
+    bridge.run()
+    return 0

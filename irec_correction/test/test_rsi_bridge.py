@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bridge as processes: model through the service, wrench over shared memory, offset to the controller; the node may die."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chain import PERIOD, Q, ROBOT, WRENCH, model
+from irec_sim.devices.rsi_controller import RobotState, RsiController
+
+from irec_calibration.cell import read_cell
+from irec_calibration.model_file import save_model
+from irec_correction.deflection import Deflection
+from irec_correction.rsi.sources import WRENCH_SIZE
+from irec_correction.shared import SharedValues
+
+pytestmark = pytest.mark.ros
+CELL = Path(__file__).parents[2] / "config/cells/afp.yaml"
+STATE = RobotState(Q, np.array([1.5, 0.0, 1.2]), np.zeros(3))
+STEP = 0.02 * PERIOD + 2e-7
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+class Drive:
+    """The controller, and the sensor's shared memory."""
+
+    def __init__(self, port: int, block: SharedValues) -> None:
+        self.controller = RsiController(("127.0.0.1", port), timeout=5000)
+        self.block, self.rng = block, np.random.default_rng(0)
+        self.sent = [np.zeros(3)]
+
+    def state(self) -> RobotState:
+        self.block.write(np.array([time.monotonic(), self.controller.counts.cycles, 0.0, *(WRENCH + self.rng.normal(0, 0.2, 6))]))
+        return STATE
+
+    def until(self, condition, seconds: float, what: str) -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, f"{what} not within {seconds} s; offset {self.sent[-1]}, {self.controller.counts.late} late"
+            self.controller.run(10, self.state, lambda c: self.sent.append(c.translation))
+
+    @property
+    def largest_step(self) -> float:
+        return float(np.linalg.norm(np.diff(np.array(self.sent), axis=0), axis=1).max())
+
+
+def children_of(pid: int) -> list[int]:
+    return [int(c) for c in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def name_of(pid: int) -> str:
+    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+
+
+def test_offset_reaches_the_controller_and_the_loop_outlives_the_node(ros_domain, start_process, tmp_path):
+    afp = replace(model(), serial="KR120-0001", urdf_sha256=read_cell(CELL).robot.sha256)
+    path = save_model(afp, tmp_path / "model.yaml")
+    port, block = free_port(), SharedValues.create(WRENCH_SIZE)
+    bridge = start_process([
+        sys.executable, "-m", "irec_correction.nodes.rsi_bridge", "--ros-args", "-p", f"cell:={CELL}", "-p", f"port:={port}",
+        "-p", f"wrench_block:={block.name}", "-p", f"model_path:={path}", "-p", "filter.cutoff:=0.0",
+        "-p", "watch.wrench_timeout:=0.5", "-p", "watch.joints_timeout:=0.5", "-p", "watch.frozen_after:=0.5",
+    ], name="rsi_bridge")  # fmt: skip
+    drive = Drive(port, block)
+    expected, _ = Deflection(model(), ROBOT)(Q, WRENCH[:3], WRENCH[3:], PERIOD)
+    drive.until(lambda: np.linalg.norm(drive.sent[-1] + expected) < 3e-6, 30.0, "offset of the model")
+    node = [c for c in children_of(bridge.pid) if "resource_tracker" not in name_of(c)]
+    assert len(node) == 1
+    os.kill(node[0], signal.SIGKILL)
+    drive.until(lambda: np.linalg.norm(drive.sent[-1]) < 1e-7, 10.0, "offset faded out")
+    answered = drive.controller.counts.answered
+    drive.until(lambda: drive.controller.counts.answered > answered + 50, 10.0, "answers without the node")
+    assert bridge.poll() is None
+    assert drive.largest_step <= STEP
+    bridge.send_signal(signal.SIGINT)
+    assert bridge.wait(10) == 0
+    drive.controller.close()
+    block.close()
+
+
+def test_a_bridge_without_a_cell_refuses_and_says_so(ros_domain, start_process, tmp_path):
+    bridge = start_process([sys.executable, "-m", "irec_correction.nodes.rsi_bridge"], name="refused")
+    assert bridge.wait(30) == 2
+    assert "cell" in (tmp_path / "refused.log").read_text()
