@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
+import time
 from datetime import datetime
 from functools import partial
 from importlib import import_module
@@ -13,10 +16,10 @@ from typing import Any
 import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from .. import __version__
@@ -24,6 +27,8 @@ from ..errors import RecordingError
 from ..recording import BagWriter, Qos
 
 DISCOVERY_PERIOD = 0.2  # s of the machine's clock, between looks for topics that are not there yet
+STOP_TIME = 2.0  # s that a stop may wait for messages that have arrived already
+QUIET_SPINS = 5  # turns of the executor without a message, after which none is left
 QUEUE_DEPTH = 2000  # messages; a recorder that is held up for a second loses nothing
 
 
@@ -43,6 +48,7 @@ class RecorderNode(Node):
         self._writer: BagWriter | None = None
         self._subscriptions_by_topic: dict[str, Any] = {}
         self._runs = 0
+        self.received = 0
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_timer(DISCOVERY_PERIOD, self._look_for_topics, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -117,6 +123,7 @@ class RecorderNode(Node):
         self._subscriptions_by_topic[topic] = self.create_subscription(message_class, name, callback, qos, raw=True)
 
     def _on_message(self, writer: BagWriter, channel: int, data: bytes) -> None:
+        self.received += 1
         writer.write(channel, data, self.get_clock().now().nanoseconds)
 
     def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -141,12 +148,19 @@ class RecorderNode(Node):
 
 
 def main() -> int:
-    """Record until SIGINT or SIGTERM, then finish the file."""
-    rclpy.init()
+    """Record until SIGINT or SIGTERM, then write what has arrived by then and finish the file."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    asked_to_stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: asked_to_stop.set())
     try:
         node = RecorderNode()
+        executor = EventsExecutor()
+        executor.add_node(node)
         try:
-            _spin(node)
+            while not asked_to_stop.is_set():
+                executor.spin_once(timeout_sec=0.5)
+            _empty_queues(node, executor)
         finally:
             if node.recording:
                 print(f"recorder: {node.stop()}", file=sys.stderr)
@@ -158,14 +172,14 @@ def main() -> int:
     return 0
 
 
-def _spin(node: Node) -> None:
-    executor = EventsExecutor()
-    executor.add_node(node)
-    try:
-        while rclpy.ok():
-            executor.spin_once(timeout_sec=1.0)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+def _empty_queues(node: RecorderNode, executor: EventsExecutor) -> None:
+    """Take what the middleware has received already."""
+    end = time.monotonic() + STOP_TIME
+    quiet = 0
+    while quiet < QUIET_SPINS and time.monotonic() < end:
+        before = node.received
+        executor.spin_once(timeout_sec=0.01)
+        quiet = 0 if node.received > before else quiet + 1
 
 
 if __name__ == "__main__":

@@ -212,7 +212,7 @@ class CellNode(Node):
         return Cell(file, truth, seed, settings)
 
     def _instruments(self) -> InstrumentSettings:
-        values = {}
+        values: dict[str, Any] = {}
         for entry in fields(InstrumentSettings):
             default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
             value = self._declared(f"instruments.{entry.name}", default, "see irec_sim/instruments.py")

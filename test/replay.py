@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Publishes the messages of a recording, serialized as they are: replay.py BAG SPEED TOPIC:NEW_TOPIC ..."""
+
+from __future__ import annotations
+
+import sys
+import time
+from importlib import import_module
+
+import rclpy
+from irec_calibration.recording import BagReader
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+PATIENCE = 20.0  # s
+
+
+def main(bag: str, speed: float, renamed: dict[str, str]) -> None:
+    """Wait for a subscriber of every topic, then send the messages at `speed` times the pace of the recording."""
+    rclpy.init()
+    node = rclpy.create_node("replay")
+    messages = sorted(BagReader(bag).messages(renamed), key=lambda message: message.log_time)
+    publishers = {}
+    for message in messages:
+        topic = message.topic
+        if topic.name not in publishers:
+            package, _, kind = topic.type_name.split("/")
+            qos = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+            message_class = getattr(import_module(f"{package}.msg"), kind)
+            publishers[topic.name] = node.create_publisher(message_class, renamed[topic.name], qos)
+    until = time.monotonic() + PATIENCE
+    while not all(publisher.get_subscription_count() for publisher in publishers.values()):
+        if time.monotonic() > until:
+            sys.exit("no subscribers")
+        time.sleep(0.02)
+    begin, first = time.monotonic(), messages[0].log_time
+    for message in messages:
+        ahead = begin + (message.log_time - first) * 1e-9 / speed - time.monotonic()
+        if ahead > 0:
+            time.sleep(ahead)
+        publishers[message.topic.name].publish(message.data)
+    for publisher in publishers.values():
+        publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=PATIENCE))
+    print("replayed", flush=True)
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    bag, speed, *names = sys.argv[1:]
+    main(bag, float(speed), dict(name.split(":") for name in names))
