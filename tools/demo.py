@@ -32,6 +32,7 @@ N_POSES, D_MAX, POOL, SEED = 31, 0.175, 3000, 1  # of the plan: paper 4.2.3, d_m
 PROCEDURE_TIMEOUT = 600.0  # s of the machine's clock
 COURSE_TIMEOUT = 180.0
 COURSE_SPEED = 2.0  # simulated seconds per second: the correction has to keep up with 250 Hz of the cell's clock
+MAX_LEAD = 0.04  # s of the cell's clock that it may be ahead of procedure and correction: less than their watchdogs allow
 COURSE_TAKES = 14.0  # s of the machine's clock, about
 SIX, EIGHTEEN = ["joint_torsion"], ["joint_torsion", "link_bending"]
 
@@ -80,7 +81,7 @@ def _run(args: argparse.Namespace) -> None:
             made = _calibrate(operator, progress, args, out, poses)
             progress.stage("course", "starting the correction, driving the loaded course without it")
             _start_correction(processes, args)
-            made["courses"] = _drive(operator, progress, out, made["models"]["18 DOF"][0])
+            made["courses"] = _drive(operator, progress, args, out, made["models"]["18 DOF"][0])
         finally:
             operator.close()
     progress.stage("figures", "drawing figures")
@@ -106,7 +107,8 @@ def _start(processes: Processes, args: argparse.Namespace, out: Path) -> None:
     start = processes.start
     sim = {"use_sim_time": True}
     cell = str(args.cell)
-    start("cell", "irec_sim.nodes.cell_node", {"cell": cell, "speed_factor": args.speed, "course_csv": str(out / "course.csv")})
+    limits = {"speed_factor": args.speed, "max_lead": MAX_LEAD}
+    start("cell", "irec_sim.nodes.cell_node", {"cell": cell, "course_csv": str(out / "course.csv"), **limits})
     start("procedure", "irec_calibration.nodes.procedure_node", {"cell": cell, "session_folder": str(out), **sim})
     folder = str(out / "calibrations")
     start("calibration", "irec_calibration.nodes.calibration_node", {"cell": cell, "calibration_folder": folder, **sim})
@@ -154,7 +156,7 @@ def _calibrate(operator: Operator, tell: Progress, args: argparse.Namespace, out
     return {"session": session, "models": models, "poses": result.poses_recorded, "path_poses": poses}
 
 
-def _drive(operator: Operator, tell: Progress, out: Path, model: Path) -> dict[str, Path]:
+def _drive(operator: Operator, tell: Progress, args: argparse.Namespace, out: Path, model: Path) -> dict[str, Path]:
     """The loaded course without and with correction; the tables that the cell writes."""
     from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
     from rcl_interfaces.srv import SetParameters
@@ -171,7 +173,7 @@ def _drive(operator: Operator, tell: Progress, out: Path, model: Path) -> dict[s
     slower = SetParameters.Request(parameters=[Parameter(name="speed_factor", value=value)])
     operator.call(SetParameters, "cell/set_parameters", slower, 10.0)
     ask(Trigger, "recorder/start", Trigger.Request(), 10.0)
-    courses = {}
+    courses, home = {}, read_cell(args.cell).home.tolist()
     for name in ("without", "with"):
         if name == "with":
             ask(ActivateModel, "irec/correction/activate_model", ActivateModel.Request(model_path=str(model)), 20.0)
@@ -180,6 +182,7 @@ def _drive(operator: Operator, tell: Progress, out: Path, model: Path) -> dict[s
         def show(seconds: float, name: str = name) -> None:
             tell.update(f"course {name} correction, {seconds:.0f} s of about {COURSE_TAKES:.0f} s")
 
+        operator.move_joints(home, 0.5, 60.0)  # away from the mould, before going to where the course begins
         ask(Trigger, "sim/run_course", Trigger.Request(), COURSE_TIMEOUT, show)
         courses[name] = out / f"course_{name}.csv"
         (out / "course.csv").rename(courses[name])

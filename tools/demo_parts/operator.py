@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 
-from irec_msgs.action import RunProcedure
+from irec_msgs.action import Move, RunProcedure
 
 SERVER_WAIT = 30.0  # s
 
@@ -48,6 +48,19 @@ class Operator:
         self._until(future.done, timeout, f"service {name} did not answer", tell)
         self.node.destroy_client(client)
         return future.result()
+
+    def move_joints(self, q: Sequence[float], speed: float, timeout: float) -> None:
+        """Move the robot to joint angles, rad; speed is a share of the limits."""
+        client = ActionClient(self.node, Move, "robot/move")
+        self._until(client.server_is_ready, SERVER_WAIT, "action robot/move is not there")
+        names = [f"joint_{i + 1}" for i in range(len(q))]
+        goal = Move.Goal(kind=Move.Goal.JOINT, joint_names=names, joint_position=[float(v) for v in q], speed=float(speed))
+        accepted = client.send_goal_async(goal)
+        self._until(accepted.done, SERVER_WAIT, "robot/move did not accept the move")
+        result = accepted.result().get_result_async()
+        self._until(result.done, timeout, "robot/move did not come to an end")
+        if not result.result().result.success:
+            raise AskedInVain(f"robot/move: {result.result().result.message}")
 
     def run_procedure(self, goal: RunProcedure.Goal, timeout: float, tell: Callable[[RunProcedure.Feedback], None]) -> Any:
         """Result of irec/run_procedure. An interrupt cancels the run and waits until the robot has retracted."""

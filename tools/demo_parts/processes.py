@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from types import TracebackType
 
-GRACE = ((signal.SIGINT, 20.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))  # s to obey each
+GRACE = ((signal.SIGTERM, 20.0), (signal.SIGKILL, 5.0))  # s to obey each
 
 
 class NodeEnded(RuntimeError):
@@ -51,7 +51,7 @@ class Processes:
         return "\n".join(text.splitlines()[-lines:])
 
     def end(self, name: str) -> None:
-        """End one node: SIGINT, then harder."""
+        """End one node: SIGTERM, then harder."""
         process = self._running.pop(name, None)
         if process is not None:
             _end([process])

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -20,6 +19,7 @@ from irec_msgs.msg import RobotState
 from ..procedure.recorder import SessionRecorder
 from ..procedure.settle import Streams
 
+FOLLOW_EVERY = 5  # wrenches
 TYPES = {
     JointState: "sensor_msgs/msg/JointState",
     PoseStamped: "geometry_msgs/msg/PoseStamped",
@@ -56,14 +56,6 @@ class Instruments:
             if topic.startswith(prefix) and topic not in self._types and TYPES[Temperature] in types:
                 self._subscribe(topic, Temperature, partial(self._temperature, topic.removeprefix(prefix)))
 
-    def tell_progress(self) -> None:
-        """Tell a simulated cell up to which stamp its readings have been worked off."""
-        newest = self.streams.newest().get("force")
-        if self._follower is not None and newest is not None:
-            seconds = int(newest)
-            stamp = Time(sec=seconds, nanosec=int((newest - seconds) * 1e9))
-            self._follower.publish(Header(stamp=stamp, frame_id=self._node.get_name()))
-
     def record_to(self, recorder: SessionRecorder | None) -> None:
         """Write everything that comes in to this recording; None: to none."""
         self._recorder = recorder
@@ -94,6 +86,8 @@ class Instruments:
     def _wrench(self, m: WrenchStamped) -> None:
         f, t = m.wrench.force, m.wrench.torque
         self.streams.add_wrench(_seconds(m), (f.x, f.y, f.z, t.x, t.y, t.z))
+        if self._follower is not None and self.streams.counts["force"] % FOLLOW_EVERY == 0:
+            self._follower.publish(Header(stamp=m.header.stamp, frame_id=self._node.get_name()))
 
     def _marker(self, m: PointStamped) -> None:
         self.streams.add_marker(_seconds(m), m.point.x, m.point.y, m.point.z, m.header.frame_id)

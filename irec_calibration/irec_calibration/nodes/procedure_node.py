@@ -192,7 +192,6 @@ class ProcedureNode(Node):
             return
         if self._goal is not None and self._goal.is_cancel_requested:
             procedure.stop("cancelled by the operator")
-        self._instruments.tell_progress()
         for command in procedure.step(now, time.monotonic()):
             if isinstance(command, Row):
                 self._record(command)

@@ -124,7 +124,8 @@ class RecorderNode(Node):
 
     def _on_message(self, writer: BagWriter, channel: int, data: bytes) -> None:
         self.received += 1
-        writer.write(channel, data, self.get_clock().now().nanoseconds)
+        if writer is self._writer:  # what was under way when the recording was stopped is left out
+            writer.write(channel, data, self.get_clock().now().nanoseconds)
 
     def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._answer(response, lambda: f"recording to {self.start()}")

@@ -90,17 +90,21 @@ class CourseSide:
         self._samples, self._way, self._steps = [], 0.0, 0
         start = self._loop.call(lambda: cell.commanded)
         self._drive(joint_move(cell.chain, start, (plan.q_approach, plan.rail), SPEED_SHARE, self._robot.rail_speed))
-        self._line(plan, plan.q_approach, _tcp(cell, plan.q[0]))
         try:
-            self._loop.call(lambda: setattr(self, "_plan", plan))
+            # the process force stands in for contact from here on: the arm's sag would press it into the tooling
+            self._loop.call(lambda: self._begin(plan))
+            self._line(plan, plan.q_approach, _tcp(cell, plan.q[0]))
             self._press(+1.0)
             self._drive(table_move(plan.q, plan.rail, plan.length, plan.speed), record=True)
             self._press(-1.0)
+            self._line(plan, plan.q[-1], _tcp(cell, plan.q[-1]) + cell.cell.approach_distance * plan.normal[-1])
         finally:
             self._loop.call(self._end)
-        self._line(plan, plan.q[-1], _tcp(cell, plan.q[-1]) + cell.cell.approach_distance * plan.normal[-1])
         write_course(path, plan, self._samples)
         return path
+
+    def _begin(self, plan: CoursePlan) -> None:
+        self._plan, self._level, self._direction = plan, 0.0, 0.0
 
     def _end(self) -> None:
         self._plan = self._order = None
