@@ -142,7 +142,8 @@ class Correction:
     # -- inputs --------------------------------------------------------------------------------------------------------
 
     def take_wrench(self, stamp: float, now: float, frame: str, reading: Array, status: str = "") -> None:
-        """One reading (6,), N and N m, in the frame that the conditioner expects; `status`: what the sensor itself complains of."""
+        """One reading (6,), N and N m, in the frame that the conditioner expects; `status`: what the sensor itself complains
+        of."""
         if status:
             self.watchdog.refuse(Fault.SENSOR_STATUS, f"force sensor reports {status}")
         else:

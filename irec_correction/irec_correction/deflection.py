@@ -140,7 +140,8 @@ class Deflection:
             rail_position: of the external axis, m.
 
         Returns:
-            translation (3,), m, and rotation (3,), rad, of the physical tool0 relative to the controller's, in base_link; Eq. (11).
+            translation (3,), m, and rotation (3,), rad, of the physical tool0 relative to the controller's, in base_link;
+            Eq. (11).
         """
         c, chain = self.compiled, self._chain
         chain.update(q)

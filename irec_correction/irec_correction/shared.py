@@ -13,11 +13,12 @@ import uuid
 from pathlib import Path
 
 import numpy as np
-
 from irec_calibration.typing import Array
 
 from .errors import CorrectionError
 
+# block of a force sensor: time (CLOCK_MONOTONIC, s), counter, status bits that are errors, wrench(6) in N and N m
+WRENCH_SIZE = 9
 _TRIES = 64
 
 

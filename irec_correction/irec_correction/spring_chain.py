@@ -22,7 +22,8 @@ class SpringChain:
     """Preallocated chain base_link .. tool0; not to be shared between threads.
 
     Attributes:
-        index: name of a drive (`joint_k`, k from 1), virtual axis (`joint_ka`, `joint_kb`), base spring (`base_t_x` .. `base_r_z`)
+        index: name of a drive (`joint_k`, k from 1), virtual axis (`joint_ka`, `joint_kb`), base spring (`base_t_x` ..
+            `base_r_z`)
             or tool spring (`tool_x` ..) -> column of the Jacobian.
         n_joints: driven joints; n_columns: all.
     """

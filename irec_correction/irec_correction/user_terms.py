@@ -38,7 +38,8 @@ class UserTerms:
         self._terms = [(t.effect, t.theta(t.effect.parameters(self._scene))) for t in terms]
 
     def displacement(self, q: Array, force_in_tool: Array, torque_in_tool: Array) -> Array:
-        """Translation of the TCP by these terms against the unloaded robot, (3,), m, in base_link; q (k,), rad; N and N m at the TCP."""
+        """Translation of the TCP by these terms against the unloaded robot, (3,), m, in base_link; q (k,), rad; N and N m at
+        the TCP."""
         both = np.stack([q, q])
         kin = self._robot.kinematics(both)
         zero = np.zeros(3)

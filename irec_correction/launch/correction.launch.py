@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The correction of a cell: `ros2 launch irec_correction correction.launch.py cell:=/path/cell.yaml [params:=/path/params.yaml]`."""
+"""The correction of a cell: `ros2 launch irec_correction correction.launch.py cell:=/path/cell.yaml
+[params:=/path/params.yaml]`."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument

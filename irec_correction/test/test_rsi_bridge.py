@@ -13,14 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chain import PERIOD, Q, ROBOT, WRENCH, model
-from irec_sim.devices.rsi_controller import RobotState, RsiController
-
+from chain import PERIOD, ROBOT, WRENCH, Q, model
 from irec_calibration.cell import read_cell
 from irec_calibration.model_file import save_model
 from irec_correction.deflection import Deflection
-from irec_correction.rsi.sources import WRENCH_SIZE
-from irec_correction.shared import SharedValues
+from irec_correction.shared import WRENCH_SIZE, SharedValues
+from irec_sim.devices.rsi_controller import RobotState, RsiController
 
 pytestmark = pytest.mark.ros
 CELL = Path(__file__).parents[2] / "config/cells/afp.yaml"
@@ -49,7 +47,9 @@ class Drive:
     def until(self, condition, seconds: float, what: str) -> None:
         end = time.monotonic() + seconds
         while not condition():
-            assert time.monotonic() < end, f"{what} not within {seconds} s; offset {self.sent[-1]}, {self.controller.counts.late} late"
+            assert time.monotonic() < end, (
+                f"{what} not within {seconds} s; offset {self.sent[-1]}, {self.controller.counts.late} late"
+            )
             self.controller.run(10, self.state, lambda c: self.sent.append(c.translation))
 
     @property

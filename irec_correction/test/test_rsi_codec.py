@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
-
 from irec_correction.errors import ProtocolError
 from irec_correction.rsi.codec import abc_of_rotation_vector, decode_robot, encode_reply
+from scipy.spatial.transform import Rotation
 
 FROM_CONTROLLER = (
     b'<Rob Type="KUKA"><RIst X="1620.0002" Y="-12.5000" Z="1910.0" A="180.0" B="0.0" C="-90.0"/>'

@@ -10,17 +10,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chain import PERIOD, Q, ROBOT, URDF, WRENCH, model
-from irec_sim.devices.rsi_controller import RobotState, RsiController
-
+from chain import PERIOD, ROBOT, URDF, WRENCH, Q, model
 from irec_correction.conditioning import FilterSettings
 from irec_correction.correction import CorrectionSettings
 from irec_correction.deflection import Deflection
 from irec_correction.errors import CorrectionError, SettingsError
 from irec_correction.rsi.loop import REPORT_SIZE, Link, RsiLoop
-from irec_correction.rsi.sources import OFFSET_SIZE, WRENCH_SIZE, ChainSettings, ChainSource, GivenSource
-from irec_correction.shared import SharedValues
+from irec_correction.rsi.sources import OFFSET_SIZE, ChainSettings, ChainSource, GivenSource
+from irec_correction.shared import WRENCH_SIZE, SharedValues
 from irec_correction.state import State
+from irec_sim.devices.rsi_controller import RobotState, RsiController
 
 RATE = CorrectionSettings().limits.translation.rate
 STEP = RATE * PERIOD * (1 + 1e-9) + 2e-7  # packets carry 0.1 um

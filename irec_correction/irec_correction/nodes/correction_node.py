@@ -56,7 +56,8 @@ FOLLOW_EVERY = 5  # ticks
 
 
 class CorrectionNode(LifecycleNode):
-    """Parameters: see parameters.py. Activation fails with a reason; a model is put in force by `irec/correction/activate_model`."""
+    """Parameters: see parameters.py. Activation fails with a reason; a model is put in force by
+    `irec/correction/activate_model`."""
 
     def __init__(self) -> None:
         super().__init__("correction_node")

@@ -13,8 +13,9 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
-from irec_msgs.msg import CorrectionState
-from irec_msgs.srv import ActivateModel
+from irec_calibration.cell import read_cell
+from irec_calibration.errors import IrecError
+from irec_calibration.model_file import check_belongs, file_sha256, load_model
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -22,15 +23,14 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from irec_calibration.cell import read_cell
-from irec_calibration.errors import IrecError
-from irec_calibration.model_file import check_belongs, file_sha256, load_model
+from irec_msgs.msg import CorrectionState
+from irec_msgs.srv import ActivateModel
 
 from ..errors import SettingsError
 from ..rsi.bridge import BridgeSetup
 from ..rsi.loop import KEPT, REPORT_SIZE, Link
-from ..rsi.sources import OFFSET_SIZE, WRENCH_SIZE, ChainSettings
-from ..shared import SharedValues
+from ..rsi.sources import OFFSET_SIZE, ChainSettings
+from ..shared import WRENCH_SIZE, SharedValues
 from ..state import State
 from . import parameters
 from .messages import LEVELS, fill_quaternion, fill_vector, ros_time
@@ -102,8 +102,15 @@ class RsiNode(Node):
         link = Link(str(p["address"]), int(p["port"]), str(p["peer"]), str(p["sentype"]))
         self._pipe.send(
             BridgeSetup(
-                link, settings, self._report.name, self._latency.name, chain, self._offset_in.name,
-                float(p["offset_timeout"]), int(p["cycle_ms"]), int(p["realtime_priority"]),
+                link,
+                settings,
+                self._report.name,
+                self._latency.name,
+                chain,
+                self._offset_in.name,
+                float(p["offset_timeout"]),
+                int(p["cycle_ms"]),
+                int(p["realtime_priority"]),
             )  # fmt: skip
         )
         kind, content = self._pipe.recv()
@@ -192,7 +199,9 @@ class RsiNode(Node):
     def _on_offset(self, message: TransformStamped) -> None:
         t, r = message.transform.translation, message.transform.rotation
         if message.header.frame_id != "base_link":
-            self.get_logger().warning(f"offset in frame '{message.header.frame_id}' ignored; base_link is needed", throttle_duration_sec=5.0)
+            self.get_logger().warning(
+                f"offset in frame '{message.header.frame_id}' ignored; base_link is needed", throttle_duration_sec=5.0
+            )
             return
         w = r.w if r.w >= 0.0 else -r.w
         sign = 1.0 if r.w >= 0.0 else -1.0

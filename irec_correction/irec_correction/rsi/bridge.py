@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process of the RSI loop: commands come through a pipe, measurements go through shared memory, and it outlives whoever started it.
+"""The process of the RSI loop: commands come through a pipe, measurements go through shared memory, and it outlives whoever
+started it.
 
-When the other side goes away the offset fades out and the loop goes on answering with zero, so that the robot is not stopped by its own
-time-out. On SIGINT or SIGTERM it fades out, then ends.
+When the other side goes away the offset fades out and the loop goes on answering with zero, so that the robot is not stopped
+by its own time-out. On SIGINT or SIGTERM it fades out, then ends.
 """
 
 from __future__ import annotations

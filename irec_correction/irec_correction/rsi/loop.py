@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop that must answer within the controller's cycle: one thread, one socket, nothing else in its interpreter.
 
-Late packets: when several wait in the socket, the loop was held up; only the newest is answered (the controller has counted the others as
-late already, and an answer with their IPOC would be refused). RKorr is absolute, so a lost answer costs nothing with HOLDON=1: the
-controller goes on with the last one. A packet from anybody but the peer is dropped and counted.
+Late packets: when several wait in the socket, the loop was held up; only the newest is answered (the controller has counted
+the others as late already, and an answer with their IPOC would be refused). RKorr is absolute, so a lost answer costs
+nothing with HOLDON=1: the controller goes on with the last one. A packet from anybody but the peer is dropped and counted.
 """
 
 from __future__ import annotations

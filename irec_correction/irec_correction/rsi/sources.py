@@ -16,13 +16,11 @@ from ..conditioning import Cable, Conditioner, FilterSettings, make_filters, sen
 from ..correction import Correction, CorrectionSettings
 from ..errors import CorrectionError
 from ..limits import OffsetLimiter
-from ..shared import SharedValues
+from ..shared import WRENCH_SIZE, SharedValues
 from ..state import State, Supervisor
 from ..watchdog import Fault, Finding
 from .codec import RobotPacket
 
-# wrench block: time (CLOCK_MONOTONIC), counter, status bits, wrench(6)
-WRENCH_SIZE = 9
 # offset block: time (CLOCK_MONOTONIC), wanted (0 or 1), translation(3), rotation vector(3)
 OFFSET_SIZE = 8
 
@@ -69,9 +67,7 @@ class ChainSource:
         robot = Robot(settings.urdf_text, "robot description")
         self._frame = settings.sensor_frame if settings.raw else "tool0"
         sensor = sensor_in_tool(robot, settings.sensor_frame) if settings.raw else None
-        conditioner = Conditioner(
-            make_filters(settings.filters), sensor, settings.load, settings.cable, settings.gravity
-        )
+        conditioner = Conditioner(make_filters(settings.filters), sensor, settings.load, settings.cable, settings.gravity)
         self.chain = Correction(settings.correction, robot, conditioner)
         self._block_name, self._block = settings.wrench_block, None
         self._values = np.zeros(WRENCH_SIZE)
@@ -118,7 +114,9 @@ class ChainSource:
             self._version = 0
         self._version = version
         status = int(self._values[2])
-        self.chain.take_wrench(float(self._values[0]), now, self._frame, self._values[3:9].copy(), f"status {status:#x}" if status else "")
+        self.chain.take_wrench(
+            float(self._values[0]), now, self._frame, self._values[3:9].copy(), f"status {status:#x}" if status else ""
+        )
 
 
 class GivenSource:

@@ -95,7 +95,14 @@ class RsiController:
             peer: the PC that answers. timeout: late packets in a row after which RSI stops. limit: of POSCORR, m; beyond it RSI stops.
             holdon: keep the last correction while answers are late; otherwise it drops to zero.
         """
-        self.peer, self.period, self.timeout, self.holdon, self.limit, self.sentype = peer, period, timeout, holdon, limit, sentype
+        self.peer, self.period, self.timeout, self.holdon, self.limit, self.sentype = (
+            peer,
+            period,
+            timeout,
+            holdon,
+            limit,
+            sentype,
+        )
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((address, 0))
         self.ipoc = first_ipoc

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process that asks the sensor at a fixed rate and writes what it says into shared memory."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import can
+
+from ..errors import CorrectionError, ProtocolError, SettingsError
+from .netft_can import Assembler, Calibration, Reading, Request, advance, request
+
+SLCAN_WAIT = 0.05  # s; python-can waits 2 s by default
+REOPEN = 0.5  # s between tries to open a bus that has gone
+COUNTER_BITS = {False: 32, True: 16}
+
+
+@dataclass(frozen=True)
+class Bus:
+    """A CAN bus as python-can names it.
+
+    Attributes:
+        interface: socketcan, slcan, virtual, ... channel: can0, /dev/ttyUSB0, ... bitrate: bit/s.
+    """
+
+    interface: str = "socketcan"
+    channel: str = "can0"
+    bitrate: int = 1_000_000
+
+
+@dataclass(frozen=True)
+class ReaderSettings:
+    """How the sensor is asked.
+
+    Attributes:
+        base: identifier. rate: requests per second. short: answers of 16 bits.
+        sensor_rate: samples per second by which the sensor's own counter goes on.
+    """
+
+    bus: Bus = field(default_factory=Bus)
+    base: int = 0x40
+    rate: float = 250.0
+    short: bool = False
+    sensor_rate: float = 7000.0
+    calibration: Calibration = field(default_factory=Calibration)
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.rate <= 2000.0:
+            raise SettingsError(f"rate of the force sensor is {self.rate} Hz; 1 to 2000 is possible")
+
+
+@dataclass
+class ReaderCounts:
+    """What happened on the bus.
+
+    Attributes:
+        unanswered: requests without a whole answer within a period. gaps: periods that the sensor's counter says are missing.
+        repeated: answers with the counter of the one before; not passed on. bad: frames of the wrong length.
+    """
+
+    readings: int = 0
+    unanswered: int = 0
+    gaps: int = 0
+    repeated: int = 0
+    bad: int = 0
+    bus_failures: int = 0
+
+
+def open_bus(bus: Bus, base: int) -> Any:
+    """Open, listening to this sensor only. Raises CorrectionError."""
+    filters = [{"can_id": base + i, "can_mask": 0x7FF, "extended": False} for i in range(1, 7)]
+    try:
+        extra = {"sleep_after_open": SLCAN_WAIT} if bus.interface == "slcan" else {}
+        return can.Bus(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, can_filters=filters, **extra)
+    except Exception as error:  # each interface of python-can has errors of its own
+        raise CorrectionError(f"CAN: can't open {bus.interface}:{bus.channel} at {bus.bitrate} bit/s: {error}") from error
+
+
+class SensorReader:
+    """Asks, collects, passes on. A bus that goes away is opened again; nothing is passed on meanwhile."""
+
+    def __init__(self, settings: ReaderSettings, tell: Callable[[Reading, float], None]) -> None:
+        """Open the bus. Args: tell: called with each reading and its time (CLOCK_MONOTONIC, s). Raises CorrectionError."""
+        self._settings, self._tell = settings, tell
+        self._assembler = Assembler(settings.base, settings.calibration, settings.short)
+        self.counts = ReaderCounts()
+        self._bus: Any = open_bus(settings.bus, settings.base)
+        self._sample: int | None = None
+        self._tried = 0.0
+
+    def bias(self) -> None:
+        """Take the present reading as zero, in the sensor. Only without contact. Raises CorrectionError without a bus."""
+        if self._bus is None:
+            raise CorrectionError("the CAN bus of the force sensor is not open")
+        self._send(Request.BIAS)
+
+    def run(self, goes_on: Callable[[], bool]) -> None:
+        """One request per period until `goes_on` says no."""
+        period = 1.0 / self._settings.rate
+        due = time.monotonic()
+        while goes_on():
+            due = max(due + period, time.monotonic() - 5 * period)  # after a pause: go on from now, do not catch up
+            if self._bus is None and not self._reopen():
+                time.sleep(period)
+                continue
+            try:
+                self._ask(due)
+            except (can.CanError, OSError, ValueError):
+                self._lose_bus()
+            left = due - time.monotonic()
+            if left > 0.0:
+                time.sleep(left)
+
+    def _send(self, what: Request) -> None:
+        identifier, data = request(self._settings.base, what)
+        self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+
+    def _ask(self, until: float) -> None:
+        self._assembler.begin()
+        self._send(Request.SHORT if self._settings.short else Request.LONG)
+        while True:
+            frame = self._bus.recv(max(0.0, until - time.monotonic()))
+            if frame is None:
+                self.counts.unanswered += 1
+                return
+            try:
+                reading = self._assembler.take(frame.arbitration_id, frame.data)
+            except ProtocolError:
+                self.counts.bad += 1
+                continue
+            if reading is not None:
+                self._pass_on(reading)
+                return
+
+    def _pass_on(self, reading: Reading) -> None:
+        before, self._sample = self._sample, reading.sample
+        if before is not None:
+            steps = advance(before, reading.sample, COUNTER_BITS[self._settings.short])
+            if steps == 0:
+                self.counts.repeated += 1
+                return
+            self.counts.gaps += max(0, round(steps * self._settings.rate / self._settings.sensor_rate) - 1)
+        self.counts.readings += 1
+        self._tell(reading, time.monotonic())
+
+    def _lose_bus(self) -> None:
+        self.counts.bus_failures += 1
+        with contextlib.suppress(Exception):
+            self._bus.shutdown()
+        self._bus, self._tried = None, time.monotonic()
+
+    def _reopen(self) -> bool:
+        if time.monotonic() - self._tried < REOPEN:
+            return False
+        self._tried = time.monotonic()
+        with contextlib.suppress(CorrectionError):
+            self._bus = open_bus(self._settings.bus, self._settings.base)
+        return self._bus is not None
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The CAN force sensor: bytes, faults, and the reader against a sensor that speaks the same protocol."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+import uuid
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from irec_correction.can_ft.netft_can import Assembler, Calibration, Request, advance, request
+from irec_correction.can_ft.reader import Bus, ReaderSettings, SensorReader
+from irec_correction.errors import CorrectionError, ProtocolError, SettingsError
+from irec_sim.devices.netft_can import NetFtCan, SlcanAdapter, serve
+
+LOAD = np.array([120.5, -80.25, -900.0, 3.5, -2.25, 0.125])
+CALIBRATION = Calibration(1e6, 1e6)
+
+
+def feed(assembler: Assembler, frames):
+    out = [assembler.take(i, d) for i, d in frames]
+    return out[-1] if out else None
+
+
+def test_request_is_one_byte_on_the_base_identifier():
+    assert request(0x40, Request.LONG) == (0x40, b"\x01")
+    assert request(0x40, Request.BIAS) == (0x40, b"\x04")
+
+
+def test_long_answer_is_four_frames_of_two_little_endian_numbers():
+    frames = [
+        (0x41, bytes.fromhex("80841e0040420f00")),  # 2 000 000, 1 000 000 counts
+        (0x42, bytes.fromhex("c0bdf0ff00000000")),  # -1 000 000
+        (0x43, bytes.fromhex("00000000ffffffff")),
+        (0x44, bytes.fromhex("000000002a000000")),
+    ]
+    reading = feed(Assembler(0x40, CALIBRATION), frames)
+    np.testing.assert_allclose(reading.wrench, [2.0, -1.0, 0.0, 1.0, 0.0, -1e-6])
+    assert reading.status == 0 and reading.sample == 42
+
+
+def test_short_answer_is_two_frames_of_four_numbers():
+    calibration = Calibration(100.0, 1000.0)
+    frames = [(0x45, struct.pack("<hhhh", 1000, 500, -200, 0)), (0x46, struct.pack("<hhHH", -32768, 1, 0x8000, 7))]
+    reading = feed(Assembler(0x40, calibration, short=True), frames)
+    np.testing.assert_allclose(reading.wrench, [10.0, -2.0, -327.68, 0.5, 0.0, 0.001])
+    assert reading.errors == ["any error"] and reading.sample == 7
+
+
+def test_units_other_than_newton_are_converted():
+    sensor = NetFtCan(lambda: LOAD / 4.4482216)
+    reading = feed(Assembler(0x40, Calibration(1e6, 1e6, 4.4482216, 4.4482216)), sensor.answer(0x40, b"\x01"))
+    np.testing.assert_allclose(reading.wrench, LOAD, atol=1e-5)
+
+
+@given(st.tuples(*(st.floats(-2000, 2000) for _ in range(6))), st.booleans())
+def test_what_the_sensor_sends_is_what_is_read(load, short):
+    divisor = 100.0 if short else 1.0
+    sensor = NetFtCan(lambda: np.array(load), counts_per_force=1000.0, counts_per_torque=1000.0, short_divisor=divisor)
+    calibration = Calibration(1000.0, 1000.0, short_scale=(divisor,) * 6)
+    reading = feed(Assembler(0x40, calibration, short), sensor.answer(0x40, b"\x02" if short else b"\x01"))
+    np.testing.assert_allclose(reading.wrench, load, atol=0.06 if short else 6e-4)
+
+
+def test_an_answer_that_lost_a_frame_gives_no_reading_and_the_next_one_is_whole():
+    sensor, assembler = NetFtCan(lambda: LOAD), Assembler(0x40, CALIBRATION)
+    assert feed(assembler, sensor.answer(0x40, b"\x01")[1:]) is None
+    assembler.begin()
+    assert assembler.incomplete == 1
+    assert feed(assembler, sensor.answer(0x40, b"\x01")) is not None
+
+
+def test_frames_of_somebody_else_are_ignored_and_those_of_wrong_length_refused():
+    assembler = Assembler(0x40, CALIBRATION)
+    assert assembler.take(0x123, b"\0" * 8) is None
+    assert assembler.foreign == 1
+    with pytest.raises(ProtocolError, match="0x41.*3 bytes"):
+        assembler.take(0x41, b"abc")
+
+
+def test_bias_takes_the_present_load_as_zero():
+    sensor, assembler = NetFtCan(lambda: LOAD), Assembler(0x40, CALIBRATION)
+    assert sensor.answer(*request(0x40, Request.BIAS)) == []
+    np.testing.assert_allclose(feed(assembler, sensor.answer(0x40, b"\x01")).wrench, 0.0)
+
+
+def test_counter_goes_on_over_its_end():
+    assert advance(0xFFFF, 1, 16) == 2
+    assert advance(0xFFFFFFFF, 0, 32) == 1
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: Calibration(0.0), lambda: Assembler(0x7FA, CALIBRATION), lambda: ReaderSettings(rate=0.0)]
+)
+def test_settings_that_can_not_be_are_refused(make):
+    with pytest.raises(SettingsError):
+        make()
+
+
+def test_a_bus_that_is_not_there_is_named():
+    with pytest.raises(CorrectionError, match="slcan:/dev/not_there"):
+        SensorReader(ReaderSettings(Bus("slcan", "/dev/not_there")), lambda *_: None)
+
+
+class Running:
+    """Sensor and reader at work, on a virtual bus of this process."""
+
+    def __init__(self, settings: ReaderSettings) -> None:
+        self.readings: list = []
+        self.going = True
+        self.reader = SensorReader(settings, lambda reading, now: self.readings.append(reading))
+        self.thread = threading.Thread(target=self.reader.run, args=(lambda: self.going,))
+        self.thread.start()
+
+    def until(self, condition, seconds: float = 10.0) -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, self.reader.counts
+            time.sleep(0.01)
+
+    def close(self) -> None:
+        self.going = False
+        self.thread.join(5.0)
+        self.reader.close()
+
+
+@pytest.fixture
+def on_virtual_bus():
+    import can
+
+    channel = uuid.uuid4().hex
+    sensor, going = NetFtCan(lambda: LOAD), [True]
+    bus = can.Bus(interface="virtual", channel=channel)
+    thread = threading.Thread(target=serve, args=(sensor, bus, lambda: going[0]))
+    thread.start()
+    running = Running(ReaderSettings(Bus("virtual", channel), rate=100.0))
+    yield sensor, running
+    running.close()
+    going[0] = False
+    thread.join(5.0)
+    bus.shutdown()
+
+
+def test_reader_passes_on_what_acts_on_the_sensor(on_virtual_bus):
+    _, running = on_virtual_bus
+    running.until(lambda: len(running.readings) > 10)
+    np.testing.assert_allclose(running.readings[-1].wrench, LOAD, atol=1e-5)
+
+
+def test_a_sensor_that_repeats_one_sample_is_not_passed_on(on_virtual_bus):
+    sensor, running = on_virtual_bus
+    running.until(lambda: running.readings)
+    sensor.faults.frozen = True
+    running.until(lambda: running.reader.counts.repeated > 5)
+    read = len(running.readings)
+    running.until(lambda: running.reader.counts.repeated > 10)
+    assert len(running.readings) == read
+
+
+def test_a_silent_sensor_is_counted_and_comes_back(on_virtual_bus):
+    sensor, running = on_virtual_bus
+    running.until(lambda: running.readings)
+    sensor.faults.silent = True
+    running.until(lambda: running.reader.counts.unanswered > 5)
+    sensor.faults.silent = False
+    read = len(running.readings)
+    running.until(lambda: len(running.readings) > read + 2)
+    assert running.reader.counts.gaps > 0
+
+
+def test_status_bits_arrive(on_virtual_bus):
+    sensor, running = on_virtual_bus
+    sensor.faults.status = 1 << 5 | 1 << 16
+    running.until(lambda: running.readings and running.readings[-1].errors)
+    assert running.readings[-1].errors == ["supply voltage too low"]
+
+
+def test_over_a_serial_adapter_the_reader_survives_that_it_is_unplugged():
+    adapter = SlcanAdapter(NetFtCan(lambda: LOAD))
+    running = Running(ReaderSettings(Bus("slcan", adapter.channel), rate=50.0))
+    running.until(lambda: len(running.readings) > 5)
+    np.testing.assert_allclose(running.readings[-1].wrench, LOAD, atol=1e-5)
+    adapter.unplug()
+    running.until(lambda: running.reader.counts.bus_failures > 0)
+    running.close()
