@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mass, centre of mass and bias behind a force sensor, from readings in several orientations without contact.
 
-The sensor reads, in its own frame, force = b_f + A R^T m g and torque = b_t + c x (R^T m g) with A a small rotation (the sensor turned
-against where the robot description puts it), R the sensor's rotation in base_link and g the acceleration of free fall.
+The sensor reads, in its own frame, force = b_f + A R^T m g and torque = b_t + c x (R^T m g) with A a small rotation (the
+sensor turned against where the robot description puts it), R the sensor's rotation in base_link and g the acceleration of
+free fall.
 """
 
 from __future__ import annotations

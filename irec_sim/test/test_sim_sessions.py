@@ -138,9 +138,9 @@ def test_encoder_harmonics_move_the_marker_but_cancel_under_load():
 def test_the_catalogue_of_the_contract_is_complete():
     names = {
         "tool_compliance", "base_compliance", "rail_compliance", "joint_stiffening", "joint_backlash", "joint_hysteresis",
-        "counterbalance", "joint_coupling", "sensor_gain", "sensor_alignment", "tool_weight", "station_registration", "tracker_scale",
-        "station_shift", "thermal_drift", "creep", "marker_offset", "geometry_error", "joint_settling", "encoder_harmonics",
-        "external_force",
+        "counterbalance", "joint_coupling", "sensor_gain", "sensor_alignment", "tool_weight", "station_registration",
+        "tracker_scale", "station_shift", "thermal_drift", "creep", "marker_offset", "geometry_error", "joint_settling",
+        "encoder_harmonics", "external_force",
     }  # fmt: skip
     assert set(CATALOGUE) == names
     assert len(set(EFFECTS) - names) >= 4

@@ -81,7 +81,8 @@ class Bench:
         self.bb = float(b @ b)
 
     def posterior(self, block: Block, factors: Array | None = None, own: slice | None = None) -> Posterior:
-        """Posterior of a block; with `factors`, the evidence is averaged over prior widths of the columns `own` times each factor.
+        """Posterior of a block; with `factors`, the evidence is averaged over prior widths of the columns `own` times each
+        factor.
 
         Args:
             block: all columns.

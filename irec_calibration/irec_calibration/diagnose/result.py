@@ -72,7 +72,8 @@ class View:
 
     Attributes:
         view: name of the variable or direction; value: the part of it where the residual is largest.
-        rms_m: residual there; share: of the squared residual that this view accounts for; p_value: corrected for the number of views.
+        rms_m: residual there; share: of the squared residual that this view accounts for; p_value: corrected for the number
+            of views.
     """
 
     view: str

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evidence for a wrong tool weight: what the force sensor reads at the references, where nothing touches the tool.
 
-In the difference to the reference a wrong weight cancels, so displacements say nothing about it. The reference rows' own readings do:
-R^T g dm turns with the flange, a bias of the sensor does not, and a right removal leaves noise.
+In the difference to the reference a wrong weight cancels, so displacements say nothing about it. The reference rows' own
+readings do: R^T g dm turns with the flange, a bias of the sensor does not, and a right removal leaves noise.
 """
 
 from __future__ import annotations

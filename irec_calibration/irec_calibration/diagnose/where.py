@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the residual is: ranked views with effect size and a test that takes poses as its units.
 
-Each view is a small set of columns along which the residual might lie. Its share of the squared residual is tested by flipping the
-sign of whole poses at random: under the null the residual of a pose has no preferred sign, whatever its rows share.
+Each view is a small set of columns along which the residual might lie. Its share of the squared residual is tested by
+flipping the sign of whole poses at random: under the null the residual of a pose has no preferred sign, whatever its rows
+share.
 """
 
 from __future__ import annotations

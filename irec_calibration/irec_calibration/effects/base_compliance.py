@@ -32,8 +32,9 @@ class BaseCompliance(Effect):
     id = "base_compliance"
     label = "base compliance"
     physics = (
-        "Pedestal and floor give way: a 6-DOF spring at base_link loaded by the force and its moment r x f. Missing, the residual is "
-        "constant in the base frame and grows with reach. Rotation about the base z axis is the same as torsion of axis 1."
+        "Pedestal and floor give way: a 6-DOF spring at base_link loaded by the force and its moment r x f. Missing, the "
+        "residual is constant in the base frame and grows with reach. Rotation about the base z axis is the same as "
+        "torsion of axis 1."
     )
     elastic = True
     needs = ("load",)

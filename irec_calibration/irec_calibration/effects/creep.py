@@ -14,9 +14,9 @@ class Creep(Effect):
     id = "creep"
     label = "creep"
     physics = (
-        "Gears, tool or rubber go on yielding under a load that stays: a share of the elastic deflection times 1 - exp(-t/T), t since the "
-        "load was applied; with memory 1 what was reached under the load before is kept (Kelvin-Voigt). Missing, the residual grows with "
-        "the dwell under load."
+        "Gears, tool or rubber go on yielding under a load that stays: a share of the elastic deflection times 1 - "
+        "exp(-t/T), t since the load was applied; with memory 1 what was reached under the load before is kept "
+        "(Kelvin-Voigt). Missing, the residual grows with the dwell under load."
     )
     needs = ("time", "load")
     needs_elastic = True

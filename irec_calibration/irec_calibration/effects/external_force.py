@@ -16,9 +16,9 @@ class ExternalForce(Effect):
     id = "external_force"
     label = "unmeasured external force"
     physics = (
-        "Dress pack, hoses and cables pull at the tool with a force that the sensor does not see and that is not the same at the "
-        "reference and under load: J C J^T f_0, constant in base_link or turning with a wrist axis. Missing, the residual is there whatever "
-        "the process force and depends on the pose only. A force that stays the same cancels."
+        "Dress pack, hoses and cables pull at the tool with a force that the sensor does not see and that is not the same "
+        "at the reference and under load: J C J^T f_0, constant in base_link or turning with a wrist axis. Missing, the "
+        "residual is there whatever the process force and depends on the pose only. A force that stays the same cancels."
     )
     needs_elastic = True
 

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """An effect that a user writes as one line: `axis 3: c * tau**3`.
 
-The part before the colon says what the formula gives: `axis K` an angle about joint K, `tool x|y|z` or `base x|y|z` a displacement
-along an axis of tool0 or base_link. The expression may use the variables of `VARIABLES`, the functions of `FUNCTIONS`, numbers, and
-any other names, which become parameters. It is parsed into a tree of permitted operations and never handed to `eval`.
+The part before the colon says what the formula gives: `axis K` an angle about joint K, `tool x|y|z` or `base x|y|z` a
+displacement along an axis of tool0 or base_link. The expression may use the variables of `VARIABLES`, the functions of
+`FUNCTIONS`, numbers, and any other names, which become parameters. It is parsed into a tree of permitted operations and
+never handed to `eval`.
 """
 
 from __future__ import annotations

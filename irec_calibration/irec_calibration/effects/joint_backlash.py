@@ -17,8 +17,9 @@ class JointBacklash(Effect):
     id = "joint_backlash"
     label = "joint backlash"
     physics = (
-        "Gear play: the joint moves by a fixed angle b_k when its total torque (process and gravity) changes sign: J_k b_k sign/2. "
-        "Missing, the residual jumps by the same angle whatever the load. An axis whose total torque never changes sign shows nothing."
+        "Gear play: the joint moves by a fixed angle b_k when its total torque (process and gravity) changes sign: J_k b_k "
+        "sign/2. Missing, the residual jumps by the same angle whatever the load. An axis whose total torque never changes "
+        "sign shows nothing."
     )
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

@@ -15,8 +15,9 @@ class JointCoupling(Effect):
     id = "joint_coupling"
     label = "wrist coupling"
     physics = (
-        "The last axes are driven through each other's gears, so that the torque of one wrist axis moves another: J_k c_kl tau_l for "
-        "each pair of the last three axes. Missing, the torque of one wrist axis shows in the direction of another."
+        "The last axes are driven through each other's gears, so that the torque of one wrist axis moves another: J_k c_kl "
+        "tau_l for each pair of the last three axes. Missing, the torque of one wrist axis shows in the direction of "
+        "another."
     )
     elastic = True
 

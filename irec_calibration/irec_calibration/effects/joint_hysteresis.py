@@ -17,9 +17,10 @@ class JointHysteresis(Effect):
     id = "joint_hysteresis"
     label = "joint hysteresis"
     physics = (
-        "Dry friction inside the gear holds back a part of the wind-up, up to a threshold of torque, until the torque turns: "
-        "-J_k h_k stop(tau_k) (Prandtl-Ishlinskii, history within a pose from the relaxed reference on). Missing, the same load reached "
-        "from different sides disagrees; repeats reveal it. In absolute sessions the sign of the last step decides."
+        "Dry friction inside the gear holds back a part of the wind-up, up to a threshold of torque, until the torque "
+        "turns: -J_k h_k stop(tau_k) (Prandtl-Ishlinskii, history within a pose from the relaxed reference on). Missing, "
+        "the same load reached from different sides disagrees; repeats reveal it. In absolute sessions the sign of the "
+        "last step decides."
     )
     needs = ("order",)
 

@@ -17,9 +17,9 @@ class JointStiffening(Effect):
     id = "joint_stiffening"
     label = "joint stiffening"
     physics = (
-        "A gear is soft at small torque and stiffens as more teeth carry: extra deflection J_k [g(tau_k + tau_g,k) - g(tau_g,k)] with "
-        "g(x) = a_k (x - x_0 tanh(x / x_0)): cubic below x_0, a piecewise line above it; a < 0 stiffens. Missing, the residual is odd and "
-        "nonlinear in the torque of one axis, shifted by its gravity preload."
+        "A gear is soft at small torque and stiffens as more teeth carry: extra deflection J_k [g(tau_k + tau_g,k) - "
+        "g(tau_g,k)] with g(x) = a_k (x - x_0 tanh(x / x_0)): cubic below x_0, a piecewise line above it; a < 0 stiffens. "
+        "Missing, the residual is odd and nonlinear in the torque of one axis, shifted by its gravity preload."
     )
     needs = ("load",)
 

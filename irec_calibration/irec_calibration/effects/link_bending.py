@@ -13,9 +13,9 @@ class LinkBending(Effect):
     id = "link_bending"
     label = "link bending"
     physics = (
-        "Links and bearings bend and tilt orthogonally to the drive axes. Two virtual revolute joints per axis, at the URDF origin "
-        "of the joint, turning with it: sum J_v c_v tau_v, Eq. (11). Missing, it leaves residuals along directions that no axis "
-        "can produce."
+        "Links and bearings bend and tilt orthogonally to the drive axes. Two virtual revolute joints per axis, at the "
+        "URDF origin of the joint, turning with it: sum J_v c_v tau_v, Eq. (11). Missing, it leaves residuals along "
+        "directions that no axis can produce."
     )
     elastic = True
 

@@ -18,8 +18,8 @@ class RailCompliance(Effect):
     id = "rail_compliance"
     label = "rail compliance"
     physics = (
-        "The carriage and its rail give way like a base spring, differently along the travel: each of six compliances is a parabola "
-        "over the rail position. Missing, the residual depends on the rail position."
+        "The carriage and its rail give way like a base spring, differently along the travel: each of six compliances is a "
+        "parabola over the rail position. Missing, the residual depends on the rail position."
     )
     elastic = True
     needs = ("ext", "load")

@@ -16,8 +16,8 @@ class SensorAlignment(Effect):
     id = "sensor_alignment"
     label = "force sensor alignment"
     physics = (
-        "The force sensor is mounted turned: the force that acts is R f with a small rotation vector in tool0 (mostly about the sensor's "
-        "mounting axis). Missing, the lateral load cases N, E, S, W rotate into each other."
+        "The force sensor is mounted turned: the force that acts is R f with a small rotation vector in tool0 (mostly "
+        "about the sensor's mounting axis). Missing, the lateral load cases N, E, S, W rotate into each other."
     )
     acts_on = "wrench"
     in_prediction = False

@@ -23,8 +23,9 @@ class SensorGain(Effect):
     id = "sensor_gain"
     label = "force sensor gain"
     physics = (
-        "The force sensor's sensitivity differs between its axes or one axis reads part of another: the force that acts is (I + E) f, E "
-        "traceless. Missing, the error is proportional to the force whatever the pose, along the model's own prediction."
+        "The force sensor's sensitivity differs between its axes or one axis reads part of another: the force that acts is "
+        "(I + E) f, E traceless. Missing, the error is proportional to the force whatever the pose, along the model's own "
+        "prediction."
     )
     acts_on = "wrench"
     in_prediction = False

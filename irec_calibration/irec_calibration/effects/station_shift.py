@@ -16,8 +16,8 @@ class StationShift(Effect):
     id = "station_shift"
     label = "station shift"
     physics = (
-        "A station was moved or bumped: every measured position from one sample on is shifted. In a loaded session it breaks the pair of "
-        "reference and loaded rows of one pose; poses that are wholly before or after do not see it."
+        "A station was moved or bumped: every measured position from one sample on is shifted. In a loaded session it "
+        "breaks the pair of reference and loaded rows of one pose; poses that are wholly before or after do not see it."
     )
     acts_on = "instrument"
     in_prediction = False

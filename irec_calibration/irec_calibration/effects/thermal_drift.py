@@ -16,8 +16,8 @@ class ThermalDrift(Effect):
     id = "thermal_drift"
     label = "thermal drift"
     physics = (
-        "Links and tracker stand grow while the cell warms up: v (t - t_reference), or in proportion to a logged temperature. Missing, the "
-        "residual grows with the time since the reference and is blind to force."
+        "Links and tracker stand grow while the cell warms up: v (t - t_reference), or in proportion to a logged "
+        "temperature. Missing, the residual grows with the time since the reference and is blind to force."
     )
     needs = ("time",)
 

@@ -17,9 +17,9 @@ class ToolCompliance(Effect):
     id = "tool_compliance"
     label = "tool compliance"
     physics = (
-        "The end-effector (spindle, AFP head, sensor, tool changer) deforms between flange and TCP: R K^-1 R^T f with a symmetric "
-        "compliance tensor in tool0. Missing, the residual is constant in the tool frame, proportional to the force and blind to the "
-        "arm's pose."
+        "The end-effector (spindle, AFP head, sensor, tool changer) deforms between flange and TCP: R K^-1 R^T f with a "
+        "symmetric compliance tensor in tool0. Missing, the residual is constant in the tool frame, proportional to the "
+        "force and blind to the arm's pose."
     )
     elastic = True
     needs = ("load",)

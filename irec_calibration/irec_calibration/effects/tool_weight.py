@@ -14,9 +14,9 @@ class ToolWeight(Effect):
     id = "tool_weight"
     label = "tool weight removal"
     physics = (
-        "The weight that is taken off the force reading belongs to another tool mass or centre of mass: the reading holds R^T g dm too "
-        "much. It turns with the flange and shows at the reference, where no force acts; that reading is the evidence for it, since in "
-        "the difference to the reference it cancels."
+        "The weight that is taken off the force reading belongs to another tool mass or centre of mass: the reading holds "
+        "R^T g dm too much. It turns with the flange and shows at the reference, where no force acts; that reading is the "
+        "evidence for it, since in the difference to the reference it cancels."
     )
     acts_on = "wrench"
     in_prediction = False

@@ -14,8 +14,8 @@ class TrackerScale(Effect):
     id = "tracker_scale"
     label = "tracker scale"
     physics = (
-        "Refraction, temperature or a wrong scale factor make the tracker's lengths (1 + s) times the true ones. Missing, the residual is "
-        "parallel to the measured displacement."
+        "Refraction, temperature or a wrong scale factor make the tracker's lengths (1 + s) times the true ones. Missing, "
+        "the residual is parallel to the measured displacement."
     )
     acts_on = "instrument"
     in_prediction = False
