@@ -84,7 +84,7 @@ def write_matrix(
     truth_folder.mkdir(parents=True, exist_ok=True)
     with open(truth_folder / "matrix.csv", "w", newline="", encoding="utf-8") as f:
         writer = csv.writer(f, lineterminator="\n")
-        writer.writerow(["name", "cell", "kind", "effects", "strength", "visible", "scales"])
+        writer.writerow(["name", "cell", "kind", "effects", "strength", "reached", "scales"])
         for count, index in enumerate(order):
             case, name = todo[index], names[count]
             on_rail = count % 3 != 2 or any(e in _NEED_RAIL for e in case.effects)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .errors import SimError
 
 Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 
 def skew(v: Array) -> Array:
@@ -224,7 +225,7 @@ def forward(chain: Chain, q: Array) -> Pose:
     return Pose(p + R @ chain.p_tcp, R @ chain.R_tcp, np.stack(axes, 1), np.stack(origins, 1))
 
 
-def inverse(chain: Chain, p_goal: Array, R_goal: Array, q_start: Array, iterations: int = 60) -> tuple[Array, Array]:
+def inverse(chain: Chain, p_goal: Array, R_goal: Array, q_start: Array, iterations: int = 60) -> tuple[Array, BoolArray]:
     """Numerical inverse kinematics, damped Newton from the start values.
 
     Args:

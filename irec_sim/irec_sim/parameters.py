@@ -77,7 +77,7 @@ class PlantParameters:
     soft_zone: Array = field(default_factory=lambda: _zeros(6))
     soft_torque: Array = field(default_factory=lambda: np.array([250.0, 300.0, 220.0, 80.0, 80.0, 50.0]))
     friction: Array = field(default_factory=lambda: _zeros(6))
-    friction_torque: Array = field(default_factory=lambda: np.array([150.0, 200.0, 150.0, 60.0, 60.0, 40.0]))
+    friction_torque: Array = field(default_factory=lambda: np.array([190.0, 490.0, 470.0, 100.0, 100.0, 60.0]))
     creep: Array = field(default_factory=lambda: _zeros(6))
     creep_time: float = 12.0
     coupling: Array = field(default_factory=lambda: _zeros(6, 6))

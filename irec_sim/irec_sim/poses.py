@@ -44,14 +44,17 @@ def _good(cell: CellFile, q: Array, R: Array) -> NDArray[np.bool_]:
     process = np.einsum("nij,nki->nkj", J[:, :3], force)
     moment_arm = cell.chain.tool_mass * 9.81 * np.abs(J[:, 2]) + np.abs(process).max(axis=1)
     chain = cell.chain
-    return (
-        (q > chain.lower + _JOINT_MARGIN).all(axis=1)
-        & (q < chain.upper - _JOINT_MARGIN).all(axis=1)
-        & (np.linalg.svd(J, compute_uv=False)[:, -1] > _SINGULARITY)
-        & (np.abs(q[:, 3]) < 2.6)
-        & (np.abs(q[:, 5]) < 3.1)
-        & (moment_arm[:, 3:] < _TORQUE_SHARE * chain.effort[3:]).all(axis=1)
+    conditions = np.stack(
+        [
+            (q > chain.lower + _JOINT_MARGIN).all(axis=1),
+            (q < chain.upper - _JOINT_MARGIN).all(axis=1),
+            np.linalg.svd(J, compute_uv=False)[:, -1] > _SINGULARITY,
+            np.abs(q[:, 3]) < 2.6,
+            np.abs(q[:, 5]) < 3.1,
+            (moment_arm[:, 3:] < _TORQUE_SHARE * chain.effort[3:]).all(axis=1),
+        ]
     )
+    return np.asarray(conditions.all(axis=0))
 
 
 def spread_poses(cell: CellFile, n: int, rng: np.random.Generator, margin: float = 0.06) -> Poses:

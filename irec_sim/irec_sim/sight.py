@@ -20,7 +20,7 @@ def _share(numerator: float, denominator: float) -> float:
 def _segment_distance(a: Array, b: Array, c: Array, d: Array) -> float:
     """Smallest distance of the segments a-b and c-d, m."""
     u, v, w = b - a, d - c, a - c
-    uu, uv, vv, uw, vw = u @ u, u @ v, v @ v, u @ w, v @ w
+    uu, uv, vv, uw, vw = float(u @ u), float(u @ v), float(v @ v), float(u @ w), float(v @ w)
     det = uu * vv - uv * uv
     s = _share(uv * vw - vv * uw, det)
     t = _share(uv * s + vw, vv)

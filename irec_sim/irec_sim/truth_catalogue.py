@@ -102,6 +102,15 @@ def _couple(plant: PlantParameters, p: Parameters, s: float) -> Parameters:
     return {"coupling": C}
 
 
+def _hysteresis(plant: PlantParameters, p: Parameters, s: float) -> Parameters:
+    """Part of each gear's compliance comes to lie behind friction, so that the arm is not much softer but remembers."""
+    share = np.minimum(s * np.array(p["per_joint"]), 2.0)
+    return {
+        "friction": plant.friction + share / np.maximum(1.0 - 0.4 * share, 0.2),
+        "axial": plant.axial * np.maximum(1.0 - 0.4 * share, 0.2),
+    }
+
+
 def _traceless(rng: np.random.Generator) -> Parameters:
     E = rng.standard_normal((3, 3))
     E -= np.eye(3) * np.trace(E) / 3
@@ -155,7 +164,7 @@ CATALOGUE: dict[str, TruthEffect] = {
     ),
     "joint_hysteresis": plant_effect(
         lambda rng: {"per_joint": list(rng.uniform(0.1, 0.3, 6))},
-        lambda plant, p, s: {"friction": plant.friction + s * np.array(p["per_joint"])},
+        _hysteresis,
     ),
     "counterbalance": plant_effect(
         lambda rng: {"stiffness": float(rng.uniform(0.6, 1.4) * 2.5e7), "angle": float(rng.uniform(-2.9, -2.2))},
