@@ -20,7 +20,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
     ],
-    install_requires=['irec_calibration', 'numpy>=1.26,<3', 'scipy>=1.13', 'pin>=2.7', 'PyYAML>=6.0', 'python-can>=4.4'],
+    install_requires=["irec_calibration", "numpy>=1.26,<3", "scipy>=1.13", "pin>=2.7", "PyYAML>=6.0", "python-can>=4.4"],
     extras_require={},
     zip_safe=False,
     entry_points={

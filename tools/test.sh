@@ -5,4 +5,4 @@ set -eo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 . tools/env.sh
 export ROS_PYTHON_CHECK_FIELDS=1
-exec python -m pytest -p no:cacheprovider --durations=15 --timeout=300 "$@"
+exec python -m pytest -p no:cacheprovider -ra --durations=15 --timeout=300 "$@"

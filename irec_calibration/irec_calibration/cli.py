@@ -46,7 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if name == wanted:
             module = import_module(f"irec_calibration.commands.{module_name}")
             module.configure(sub)
-            sub.add_argument("--effects", metavar="FILE", action="append", default=[], help="Python file with effects of your own")
+            sub.add_argument(
+                "--effects", metavar="FILE", action="append", default=[], help="Python file with effects of your own"
+            )
             sub.set_defaults(run=module.run)
     args = parser.parse_args(argv)
     try:

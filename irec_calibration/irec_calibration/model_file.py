@@ -89,7 +89,9 @@ def load_model(path: str | Path) -> Model:
     if data.get("envelope"):
         e = data["envelope"]
         try:
-            envelope = Envelope(tuple(map(float, e["q_lower"])), tuple(map(float, e["q_upper"])), float(e["force"]), float(e["torque"]))
+            envelope = Envelope(
+                tuple(map(float, e["q_lower"])), tuple(map(float, e["q_upper"])), float(e["force"]), float(e["torque"])
+            )
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"{path}: envelope: {error!r} is missing or not a number") from error
     return Model(

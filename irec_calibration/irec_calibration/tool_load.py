@@ -104,7 +104,8 @@ def identify_tool_load(
     spread = float(np.linalg.svd(directions - directions.mean(axis=0), compute_uv=False)[-1] / math.sqrt(n))
     if spread < MIN_SPREAD:
         raise SolveError(
-            f"the orientations are too much alike: spread {spread:.3f}, at least {MIN_SPREAD} is needed; add orientations that tilt the"
+            f"the orientations are too much alike: spread {spread:.3f}, at least {MIN_SPREAD} is needed; add orientations "
+            "that tilt the"
             " tool about two axes by 60 degrees and more"
         )
     force, torque = readings[:, :3], readings[:, 3:]

@@ -14,7 +14,9 @@ STILL = settings().settling
 TARGET = np.array([280.0, 0.0, -1100.0])
 
 
-def window(marker_sd: float = 1e-5, force_sd: float = 1.0, marker_step: float = 0.0, force_step: float = 0.0, n: int = 40) -> Window:
+def window(
+    marker_sd: float = 1e-5, force_sd: float = 1.0, marker_step: float = 0.0, force_step: float = 0.0, n: int = 40
+) -> Window:
     rng = np.random.default_rng(1)
     marker = rng.normal(0.0, marker_sd, (n, 3))
     marker[n // 2 :, 1] += marker_step

@@ -34,7 +34,9 @@ def test_each_figure_of_samples_is_written(tmp_path):
         samples.norms_per_sample(o.of(o.scene.p_tcp), six.residual, o.whiten.floor, tmp_path / "a.png", poses=o.pose),
         samples.predicted_against_measured(o.y, o.y - six.residual, tmp_path / "b.png"),
         samples.residual_maps(o.scene.p_tcp[o.rows], [six.residual, eighteen.residual], ["6 DOF", "18 DOF"], tmp_path / "c.png"),
-        samples.residual_against(o.scene.tau[o.rows, 1], six.residual, "torque of axis 2 [N m]", o.whiten.floor, tmp_path / "d.png"),
+        samples.residual_against(
+            o.scene.tau[o.rows, 1], six.residual, "torque of axis 2 [N m]", o.whiten.floor, tmp_path / "d.png"
+        ),
         models.candidates(["a", "b"], [3e-5, 5e-5], [2e-6, 3e-6], 6e-5, 2e-5, ["a"], tmp_path / "e.png"),
         models.views(["load case N", "torque of axis 3"], [0.4, 0.2], tmp_path / "f.png"),
         models.course({"off": np.arange(9.0)}, {"off": np.ones(9) * 5e-4}, 3e-4, tmp_path / "g.png"),

@@ -49,7 +49,9 @@ def test_a_missing_column_is_named(folder):
         read_session(folder)
 
 
-@pytest.mark.parametrize(("value", "complaint"), [("nan", "finite"), ("inf", "finite"), ("1,5", "not a number"), ("", "is empty")])
+@pytest.mark.parametrize(
+    ("value", "complaint"), [("nan", "finite"), ("inf", "finite"), ("1,5", "not a number"), ("", "is empty")]
+)
 def test_a_bad_number_is_named_with_line_and_column(folder, value, complaint):
     _edit(folder, lambda rows: rows[3].update(joint_2=value))
     with pytest.raises(SessionError, match=rf"samples.csv:5: column 'joint_2'.*{complaint}"):

@@ -87,7 +87,8 @@ def notch(frequency: float, quality: float, rate: float) -> SecondOrderSections:
     if not 0.0 < frequency < 0.5 * rate:
         folded = abs(frequency - rate * round(frequency / rate))
         raise SettingsError(
-            f"notch at {frequency:g} Hz: samples at {rate:g} Hz show that frequency at {folded:g} Hz; put the notch there, or let the"
+            f"notch at {frequency:g} Hz: samples at {rate:g} Hz show that frequency at {folded:g} Hz; put the notch there, "
+            "or let the"
             " sensor sample faster"
         )
     if not 0.5 <= quality <= 100.0:

@@ -256,7 +256,8 @@ class Watchdog:
         if beyond[k] > 0.0:
             return Finding(
                 Fault.OUTSIDE_JOINTS,
-                f"joint_{k + 1} is at {self._q[k]:.3f} rad, the model was identified for {e.q_lower[k]:.3f} .. {e.q_upper[k]:.3f} rad"
+                f"joint_{k + 1} is at {self._q[k]:.3f} rad, the model was identified for {e.q_lower[k]:.3f} .. "
+                f"{e.q_upper[k]:.3f} rad"
                 f" (margin {s.joint_margin} rad)",
             )
         force, torque = float(np.linalg.norm(wrench_at_tcp[:3])), float(np.linalg.norm(wrench_at_tcp[3:]))

@@ -26,6 +26,7 @@ def run(args: argparse.Namespace) -> int:
         cv = entry.get("cv_rms_m")
         error = f"{1e6 * cv:.1f} um on held-out poses" if isinstance(cv, (int, float)) else "held-out error unknown"
         print(
-            f"{i}. {entry.get('date', '')}  {entry.get('change', '')}: {error}  [{', '.join(entry.get('effects', []))}] on {entry.get('session', '')}"
+            f"{i}. {entry.get('date', '')}  {entry.get('change', '')}: {error}  [{', '.join(entry.get('effects', []))}] on "
+            f"{entry.get('session', '')}"
         )
     return 0

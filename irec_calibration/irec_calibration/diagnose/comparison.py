@@ -46,7 +46,8 @@ def compare_observed(observation: Observation, terms: Sequence[Term], fitted: in
         p = 2.0 * min(f_distribution.sf(ratio, repeat_dof, 1e6), f_distribution.cdf(ratio, repeat_dof, 1e6))
         if p < DISAGREEMENT:
             notes.append(
-                f"repeats scatter by {1e6 * repeat_floor:.1f} um, the data sheet says {1e6 * floor:.1f} um: the noise in session.yaml"
+                f"repeats scatter by {1e6 * repeat_floor:.1f} um, the data sheet says {1e6 * floor:.1f} um: the noise in "
+                "session.yaml"
                 f" is too {'small' if ratio > 1 else 'large'}, or the history of the load matters (hysteresis)"
             )
     case = session.load_case[observation.rows]

@@ -94,6 +94,7 @@ def _unexplained(verdict: Judgement) -> list[str]:
     if verdict.chosen is not None:
         tried = " and ".join(find_effect(i).label for i in verdict.chosen.ids)
         out.append(
-            f"The closest try, {tried}, removes {100 * verdict.explained:.0f} % of it ({verdict.reason}) and is not named as the cause."
+            f"The closest try, {tried}, removes {100 * verdict.explained:.0f} % of it ({verdict.reason}) and is not named "
+            "as the cause."
         )
     return out

@@ -71,7 +71,8 @@ class FormulaEffect(Effect):
         found = re.fullmatch(r"\s*(?:axis\s+(\d+)|(tool|base)\s+([xyz]))\s*", target)
         if not colon or found is None:
             raise EffectError(
-                f"formula '{formula}': it must begin with 'axis K:', 'tool x:' (y, z) or 'base x:' (y, z), as in 'axis 3: c * tau**3'"
+                f"formula '{formula}': it must begin with 'axis K:', 'tool x:' (y, z) or 'base x:' (y, z), as in 'axis 3: "
+                "c * tau**3'"
             )
         if len(formula) > LONGEST_FORMULA:
             raise EffectError(f"formula of {len(formula)} characters; at most {LONGEST_FORMULA} are read")
@@ -102,7 +103,9 @@ class FormulaEffect(Effect):
             children = [node.left, node.right] if isinstance(node, ast.BinOp) else [node.operand]
         elif isinstance(node, ast.Call):
             if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS or node.keywords:
-                raise EffectError(f"formula '{self.formula}': '{ast.unparse(node.func)}' is not a function; there are {', '.join(FUNCTIONS)}")
+                raise EffectError(
+                    f"formula '{self.formula}': '{ast.unparse(node.func)}' is not a function; there are {', '.join(FUNCTIONS)}"
+                )
             needed = 2 if node.func.id in TWO_ARGUMENTS else 1
             if len(node.args) != needed:
                 raise EffectError(f"formula '{self.formula}': {node.func.id} takes {needed} argument(s), {len(node.args)} given")
@@ -129,7 +132,9 @@ class FormulaEffect(Effect):
         value = np.broadcast_to(value, len(scene))
         if not np.isfinite(value).all():
             row = int(np.flatnonzero(~np.isfinite(value))[0])
-            raise EffectError(f"effect '{self.id}', formula '{self.formula}': not a finite number in row {row + 1} of the session")
+            raise EffectError(
+                f"effect '{self.id}', formula '{self.formula}': not a finite number in row {row + 1} of the session"
+            )
         return self._along(scene) * value[:, None]
 
     def _along(self, scene: Scene) -> Array:

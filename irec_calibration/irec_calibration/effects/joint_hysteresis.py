@@ -32,7 +32,9 @@ class JointHysteresis(Effect):
             )
         scale = typical_compliance(scene.robot)
         axes = tuple(
-            Parameter(f"h_{k + 1}", "rad/(N m)", 0.3 * scale[k], plausible=(-20.0 * scale[k], 20.0 * scale[k]), group=f"axis {k + 1}")
+            Parameter(
+                f"h_{k + 1}", "rad/(N m)", 0.3 * scale[k], plausible=(-20.0 * scale[k], 20.0 * scale[k]), group=f"axis {k + 1}"
+            )
             for k in np.flatnonzero(scene.driven)
         )
         return (*axes, Parameter("r", "share of rated torque", 0.03, 0.001, 1.0, start=0.03, grid=FRACTIONS_OF_RATED))

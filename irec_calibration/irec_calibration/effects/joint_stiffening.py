@@ -26,7 +26,9 @@ class JointStiffening(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale = typical_compliance(scene.robot)
         axes = tuple(
-            Parameter(f"a_{k + 1}", "rad/(N m)", 0.5 * scale[k], plausible=(-50.0 * scale[k], 10.0 * scale[k]), group=f"axis {k + 1}")
+            Parameter(
+                f"a_{k + 1}", "rad/(N m)", 0.5 * scale[k], plausible=(-50.0 * scale[k], 10.0 * scale[k]), group=f"axis {k + 1}"
+            )
             for k in np.flatnonzero(scene.driven)
         )
         return (*axes, Parameter("x_0", "share of rated torque", 0.15, 0.01, 3.0, start=0.15, grid=FRACTIONS_OF_RATED))

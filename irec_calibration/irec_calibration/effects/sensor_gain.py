@@ -33,7 +33,8 @@ class SensorGain(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(
-            Parameter(n, "1", 0.03, -LIMIT, LIMIT, plausible=(-0.2, 0.2), group="gain" if n in ("e_xx", "e_yy") else n) for n in NAMES
+            Parameter(n, "1", 0.03, -LIMIT, LIMIT, plausible=(-0.2, 0.2), group="gain" if n in ("e_xx", "e_yy") else n)
+            for n in NAMES
         )
 
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:

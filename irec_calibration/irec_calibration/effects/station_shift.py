@@ -30,7 +30,10 @@ class StationShift(Effect):
         between = tuple(float(t) for t in 0.5 * (stamps[1:] + stamps[:-1]))
         shift = [Parameter(f"d_{a}", "m", 1e-4, plausible=(-0.05, 0.05)) for a in AXES]
         middle = between[len(between) // 2]
-        return (*shift, Parameter("t_shift", "s", float(stamps[-1] - stamps[0]), stamps[0], stamps[-1], start=middle, grid=between))
+        return (
+            *shift,
+            Parameter("t_shift", "s", float(stamps[-1] - stamps[0]), stamps[0], stamps[-1], start=middle, grid=between),
+        )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         return (scene.stamp > theta[3])[:, None] * theta[:3]

@@ -29,7 +29,9 @@ def register_file(path: str | Path) -> list[Effect]:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever the user's file raises must name that file
         raise EffectError(f"{path}: {type(error).__name__}: {error}") from error
-    classes = [c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, Effect) and c.__module__ == module.__name__]
+    classes = [
+        c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, Effect) and c.__module__ == module.__name__
+    ]
     if not classes:
         raise EffectError(f"{path}: no class in it is an Effect (from irec_calibration.effects import Effect)")
     effects = []

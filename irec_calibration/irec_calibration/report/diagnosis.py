@@ -13,7 +13,11 @@ from ..session.data import Session
 from . import models, samples
 from .page import Figure, Page, Section, Table, write_page
 
-STATUS = {"adequate": "The model is adequate", "missing_effect": "An effect is missing", "unexplained": "There is structure without a name"}
+STATUS = {
+    "adequate": "The model is adequate",
+    "missing_effect": "An effect is missing",
+    "unexplained": "There is structure without a name",
+}
 SHOWN = 12
 
 
@@ -63,7 +67,8 @@ def compare_section(comparison: Comparison, session: Session, folder: Path) -> S
     return Section(
         "Compare",
         [
-            f"The model leaves {_um(comparison.rms_m)} rms; the instruments' noise explains {_um(comparison.noise_floor_m)}, so that "
+            f"The model leaves {_um(comparison.rms_m)} rms; the instruments' noise explains "
+            f"{_um(comparison.noise_floor_m)}, so that "
             f"{_um(comparison.explainable_m)} could be explained by physics that the model lacks.",
             *comparison.notes,
         ],
@@ -137,7 +142,14 @@ def _next(diagnosis: Diagnosis) -> list[Section]:
         for m in diagnosis.next_measurements
     ]  # fmt: skip
     header = ["pose", "load case", "tells apart", "difference [um]", "in standard deviations", "joint angles [deg]"]
-    return [Section("What to measure next", ["Samples in which the rivals predict the most different displacements."], (), [Table(header, rows)])]
+    return [
+        Section(
+            "What to measure next",
+            ["Samples in which the rivals predict the most different displacements."],
+            (),
+            [Table(header, rows)],
+        )
+    ]
 
 
 def _notes(diagnosis: Diagnosis) -> list[Section]:

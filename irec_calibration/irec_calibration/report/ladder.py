@@ -26,7 +26,8 @@ def write_ladder_report(ladder: Ladder, session: Session, folder: Path, more: tu
     added = [r.added for r in ladder.rungs[1:]]
     verdict = (
         f"Adding {' and '.join(find_effect(a).label if a else a for a in added)} lowers the error on held-out poses from "
-        f"{1e6 * first.cv_rms_m:.1f} um to {1e6 * last.cv_rms_m:.1f} um; the instruments' noise is {1e6 * ladder.noise_floor_m:.1f} um. "
+        f"{1e6 * first.cv_rms_m:.1f} um to {1e6 * last.cv_rms_m:.1f} um; the instruments' noise is "
+        f"{1e6 * ladder.noise_floor_m:.1f} um. "
         f"Stopped because {ladder.stopped}."
         if added
         else f"No effect was added: {ladder.stopped}. {ladder.before.verdict.text}"
@@ -51,7 +52,9 @@ def _ladder(ladder: Ladder, folder: Path) -> Section:
     rows = []
     for name, r in zip(names, rungs, strict=True):
         term = next((t for t in r.model.terms if t.effect.id == r.added), None)
-        values = "; ".join(f"{n} = {e.value:.3g} +- {e.se:.1g} {e.unit}" for n, e in list(term.estimates.items())[:6]) if term else ""
+        values = (
+            "; ".join(f"{n} = {e.value:.3g} +- {e.se:.1g} {e.unit}" for n, e in list(term.estimates.items())[:6]) if term else ""
+        )
         rows.append([name, 1e6 * r.cv_rms_m, 1e6 * r.cv_rms_se_m, 1e6 * r.fit_rms_m, values])
     physics = [f"{find_effect(r.added).label}: {find_effect(r.added).physics}" for r in rungs if r.added]
     return Section(

@@ -60,7 +60,8 @@ def decode_robot(packet: bytes) -> RobotPacket:
     if ipoc is None or rist is None or aipos is None:
         missing = [n for n, found in (("IPOC", ipoc), ("RIst", rist), ("AIPos", aipos)) if found is None]
         raise ProtocolError(
-            f"RSI packet of {len(packet)} bytes without {', '.join(missing)}: {packet[:80]!r}; the SEND part of the controller's ethernet"
+            f"RSI packet of {len(packet)} bytes without {', '.join(missing)}: {packet[:80]!r}; the SEND part of the "
+            "controller's ethernet"
             " XML must have DEF_RIst and DEF_AIPos (irec rsi-config writes one)"
         )
     try:
