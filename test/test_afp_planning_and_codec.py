@@ -87,7 +87,9 @@ def test_the_uncertainty_that_a_plan_predicts_is_what_repeated_measurements_scat
     n, M = A.shape[:2]
     station = np.array([s.p_in_cell for s in cell.stations])[plan.pool.station[plan.chosen]]
     distance = np.linalg.norm(plan.pool.p_in_cell[plan.chosen] - station, axis=1)
-    sigma = np.sqrt(cell.noise["tracker_m"] ** 2 + cell.noise["settling_m"] ** 2 + (cell.noise["tracker_m_per_m"] * distance) ** 2)
+    sigma = np.sqrt(
+        cell.noise["tracker_m"] ** 2 + cell.noise["settling_m"] ** 2 + (cell.noise["tracker_m_per_m"] * distance) ** 2
+    )
     readings = rng.normal(size=(600, n, M + 1, 3)) * sigma[:, None, None]
     noise = (readings[:, :, 1:] - readings[:, :, :1]).reshape(600, -1)
     # rows of one pose share a reference: generalised least squares
@@ -117,11 +119,13 @@ def test_five_load_cases_beat_the_normal_one_on_unseen_poses_as_in_fig_10(codec)
     assert (np.array(every["mean_curve_m"][1:]) < np.array(normal["mean_curve_m"][1:])).all()
 
 
-def test_cover_and_ioops_end_alike_and_cover_is_not_slower_than_half_again_as_in_fig_7(codec):
+def test_cover_and_ioops_end_alike_and_saturate_alike_within_their_uncertainty(codec):
+    """Fig. 7 claims a slight lead for COVER; on this cell there is none that could be claimed, either way."""
     figures = codec("pose-search")
     cover, ioops = figures["cover"], figures["ioops"]
     assert cover["mean_m"] == pytest.approx(ioops["mean_m"], rel=1e-6)  # the largest training sets are the same
-    assert cover["saturated_at"] <= 1.5 * ioops["saturated_at"]
+    assert cover["saturated_interval"][0] <= ioops["saturated_interval"][1]
+    assert ioops["saturated_interval"][0] <= cover["saturated_interval"][1]
 
 
 def test_the_full_model_comes_down_to_the_noise_floor(codec):
