@@ -66,6 +66,9 @@ def what_changed(old: Model, new: Model, before: Study, after: Study) -> str:
     lines += [f"removed  {g}" for g in gone]
     cv = [f["cv_rms_before_m"], f["cv_rms_after_m"]]
     if all(isinstance(x, float) for x in cv):
-        lines.append(f"error on held-out poses {1e6 * cv[0]:.1f} -> {1e6 * cv[1]:.1f} um (noise {1e6 * after.observation.whiten.floor:.1f} um,"  # type: ignore[operator]
-                     f" paired test p = {f['p_value']:.2g})")  # fmt: skip
+        before_um, after_um, noise_um = (1e6 * x for x in (*cv, after.observation.whiten.floor))  # type: ignore[operator]
+        lines.append(
+            f"error on held-out poses {before_um:.1f} -> {after_um:.1f} um (noise {noise_um:.1f} um, "
+            f"paired test p = {f['p_value']:.2g})"
+        )
     return "\n".join(lines)
