@@ -40,5 +40,6 @@ def run(args: argparse.Namespace) -> int:
     size = np.linalg.norm(deflection[rows], axis=1)
     summary = {"predictions": str(path), "rows": len(rows), "mean_m": float(size.mean()), "max_m": float(size.max())}
     print(json.dumps(summary) if args.json else
-          f"{len(rows)} rows, deflection mean {1e3 * size.mean():.3f} mm, max {1e3 * size.max():.3f} mm; wrote {path}")  # fmt: skip
+          f"{len(rows)} rows, deflection mean {1e3 * size.mean():.3f} mm, max {1e3 * size.max():.3f} mm; "
+          f"wrote {path}")  # fmt: skip
     return 0
