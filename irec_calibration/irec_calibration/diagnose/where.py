@@ -87,7 +87,10 @@ def _worst_pose(observation: Observation, residual: Array) -> View:
     rms = float(np.sqrt(squared[observation.pose == worst].mean()))
     typical = float(np.sqrt(np.median([s / (observation.pose == p).sum() for p, s in sums.items()])))
     stands_out = len(sums) >= FEWEST_POSES and rms > 3.0 * max(typical, observation.whiten.floor)
-    sentence = f"Pose {worst} has {100 * share:.0f} % of the squared residual ({1e6 * rms:.0f} um, the typical pose {1e6 * typical:.0f} um)."
+    sentence = (
+        f"Pose {worst} has {100 * share:.0f} % of the squared residual "
+        f"({1e6 * rms:.0f} um, the typical pose {1e6 * typical:.0f} um)."
+    )
     return View("pose", str(worst), rms, share, 0.0 if stands_out else 1.0, sentence)
 
 
