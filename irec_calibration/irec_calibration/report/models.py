@@ -33,8 +33,15 @@ def ladder(labels: Sequence[str], cv_rms: Sequence[float], cv_se: Sequence[float
     return style.save(figure, path)
 
 
-def candidates(names: Sequence[str], cv_rms: Sequence[float], cv_se: Sequence[float], base: float, floor: float, named: Sequence[str],
-               path: str | Path) -> Path:  # fmt: skip
+def candidates(
+    names: Sequence[str],
+    cv_rms: Sequence[float],
+    cv_se: Sequence[float],
+    base: float,
+    floor: float,
+    named: Sequence[str],
+    path: str | Path,
+) -> Path:
     """Held-out error with each candidate effect added, best first; m. `named` are those of the verdict."""
     plt = style.pyplot()
     names, cv_rms, cv_se = names[:14], cv_rms[:14], cv_se[:14]
