@@ -34,7 +34,8 @@ td.number { text-align: right; font-variant-numeric: tabular-nums }
 {% for f in s.figures %}<figure><img alt="{{ f.caption }}" src="data:image/png;base64,{{ encode(f.path) }}">
 <figcaption>{{ f.caption }}</figcaption></figure>{% endfor %}
 {% for t in s.tables %}<table><thead><tr>{% for h in t.header %}<th>{{ h }}</th>{% endfor %}</tr></thead><tbody>
-{% for row in t.rows %}<tr>{% for cell in row %}<td{% if cell is number %} class="number"{% endif %}>{{ show(cell) }}</td>{% endfor %}</tr>
+{% for row in t.rows %}<tr>
+{% for cell in row %}<td{% if cell is number %} class="number"{% endif %}>{{ show(cell) }}</td>{% endfor %}</tr>
 {% endfor %}</tbody></table>{% endfor %}
 {% endfor %}
 <p class="quiet">{{ page.footer }}</p>
