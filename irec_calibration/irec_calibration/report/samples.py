@@ -80,8 +80,8 @@ def residual_maps(p_tcp: Array, residuals: Sequence[Array], titles: Sequence[str
         size = 1e6 * np.linalg.norm(r, axis=1)
         arrows = r @ across.T * (0.12 * width / largest)
         order = np.argsort(size)
-        ax.quiver(*xy[order].T, *arrows[order].T, size[order], angles="xy", scale_units="xy", scale=1, cmap="viridis", width=0.004,
-                  clim=(0, 1e6 * largest))  # fmt: skip
+        ax.quiver(*xy[order].T, *arrows[order].T, size[order], angles="xy", scale_units="xy", scale=1, cmap="viridis",
+                  width=0.004, clim=(0, 1e6 * largest))  # fmt: skip
         dots = ax.scatter(*xy[order].T, c=size[order], s=14, cmap="viridis", vmin=0, vmax=1e6 * largest)
         ax.set_title(f"{title}: {1e6 * np.sqrt((r**2).sum(axis=1).mean()):.1f} um rms")
         ax.margins(0.15)
