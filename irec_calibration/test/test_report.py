@@ -20,7 +20,8 @@ PNG = b"\x89PNG"
 def test_a_page_holds_its_figures_and_names_nothing_outside(tmp_path):
     figure = models.ladder(["6 DOF", "18 DOF"], [9e-5, 3e-5], [5e-6, 2e-6], 2.5e-5, tmp_path / "ladder.png")
     page = Page("Title <b>", "sub", "the tool bends & twists", "missing_effect",
-                [Section("Ladder", ["text"], [Figure(figure, "caption")], [Table(["a", "b"], [["x<y", 1.23456], [None, 2]])])])  # fmt: skip
+                [Section("Ladder", ["text"], [Figure(figure, "caption")],
+                         [Table(["a", "b"], [["x<y", 1.23456], [None, 2]])])])  # fmt: skip
     text = write_page(page, tmp_path / "report.html").read_text()
     assert "data:image/png;base64," in text and "Title &lt;b&gt;" in text and "x&lt;y" in text and "1.235" in text
     assert "http" not in text.replace("http-equiv", "")
