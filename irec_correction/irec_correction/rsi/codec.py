@@ -87,7 +87,8 @@ def encode_reply(translation: Array, rotation: Array, ipoc: int, sentype: str = 
     x, y, z = (translation / MM).tolist()
     a, b, c = abc_of_rotation_vector(rotation)
     return (
-        f'<Sen Type="{sentype}"><RKorr X="{x:.4f}" Y="{y:.4f}" Z="{z:.4f}" A="{a / DEG:.4f}" B="{b / DEG:.4f}" C="{c / DEG:.4f}"/>'
+        f'<Sen Type="{sentype}">'
+        f'<RKorr X="{x:.4f}" Y="{y:.4f}" Z="{z:.4f}" A="{a / DEG:.4f}" B="{b / DEG:.4f}" C="{c / DEG:.4f}"/>'
         f"<IPOC>{ipoc}</IPOC></Sen>"
     ).encode("ascii")
 
