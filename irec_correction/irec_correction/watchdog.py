@@ -165,7 +165,8 @@ class Watchdog:
         if force > s.force_range or torque > s.torque_range:
             return Finding(
                 Fault.WRENCH_RANGE,
-                f"wrench {force:.0f} N, {torque:.0f} N m is beyond the sensor's range {s.force_range:g} N, {s.torque_range:g} N m",
+                f"wrench {force:.0f} N, {torque:.0f} N m is beyond the sensor's range "
+                f"{s.force_range:g} N, {s.torque_range:g} N m",
             )
         if self._reading is not None and now - self._wrench.came_in <= s.wrench_timeout and self._jumped(reading, self._reading):
             believed = self._suspect is not None and not self._jumped(reading, self._suspect)
