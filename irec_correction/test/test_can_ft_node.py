@@ -66,7 +66,8 @@ def test_readings_come_as_messages_and_in_shared_memory_and_bias_takes_them_as_z
 
 def test_a_bus_that_is_not_there_ends_the_node_with_its_name(ros_domain, start_process, tmp_path):
     process = start_process([
-        sys.executable, "-m", "irec_correction.nodes.can_ft_node", "--ros-args", "-p", "interface:=slcan", "-p", "channel:=/dev/not_there",
+        sys.executable, "-m", "irec_correction.nodes.can_ft_node", "--ros-args", "-p", "interface:=slcan",
+        "-p", "channel:=/dev/not_there",
     ], name="refused")  # fmt: skip
     assert process.wait(60) == 2
     assert "/dev/not_there" in (tmp_path / "refused.log").read_text()
