@@ -77,8 +77,8 @@ def test_rotation_turns_a_point_of_the_tool_as_the_translation_of_that_point_say
     kin = ROBOT.kinematics(both)
     arm = np.array([0.1, -0.2, 0.3])
     scene = replace(
-        _two_rows(ROBOT), q=both, kin=kin, p_tcp=kin.p_tcp, p_observed=kin.p_tcp + arm, force_in_tool=np.stack([0 * force, force]),
-        torque_in_tool=np.stack([0 * torque, torque]), _cache={},
+        _two_rows(ROBOT), q=both, kin=kin, p_tcp=kin.p_tcp, p_observed=kin.p_tcp + arm,
+        force_in_tool=np.stack([0 * force, force]), torque_in_tool=np.stack([0 * torque, torque]), _cache={},
     )  # fmt: skip
     np.testing.assert_allclose(translation + np.cross(rotation, arm), total_displacement(model.terms, scene)[1], atol=1e-12)
 
