@@ -49,7 +49,7 @@ class NetFtCan:
         short_divisor: float = 1.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Args: load: the wrench that acts now, (6,), N and N m. short_divisor: counts of the short answer are smaller by this."""
+        """Args: load: the wrench that acts now, (6,), N and N m. short_divisor: the short answer's counts are smaller by this."""
         self._load, self.base, self._clock = load, base, clock
         self._counts = np.array([counts_per_force] * 3 + [counts_per_torque] * 3)
         self._divisor = short_divisor
