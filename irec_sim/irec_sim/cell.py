@@ -17,7 +17,7 @@ from .contact import Contact, Disc, solve_contact
 from .errors import SimError
 from .instruments import Delay, InstrumentSettings, Noise
 from .kinematics import Array, Pose, forward, skew
-from .plant import Conditions, Plant
+from .plant import Conditions, Frames, Plant
 from .sensing import AMBIENT, drift_at, force_reading, motor_angles, tracker_reading
 from .servo import ForceController, OffsetChannel, Servo
 from .sight import visible
@@ -30,6 +30,7 @@ _STILL = 1e-9  # rad, below which a free arm keeps the equilibrium it has
 _FORCE_TOLERANCE = 0.5  # N, change of the contact force in a pass that calls for another; 1 N is a micrometre
 _MAX_PASSES = 6
 _COLLISION = 8000.0  # N, at which the drives switch off
+_REUSE = 5e-5  # rad and m by which the configuration may change before lever arms are computed again
 _POSE_REUSE = 5e-4  # rad by which joints may turn before Jacobian and line of sight are computed again
 
 
@@ -75,6 +76,7 @@ class Cell:
         self._freed = False
         self._process: Array | None = None
         self._contact = Contact()
+        self._base: tuple[Array, Array, Frames] | None = None
         self._settled_at = np.full((1, cell.chain.n), np.inf)
         self._pose: tuple[Array, Pose] | None = None
         self._near: tuple[Array, Array, Array] | None = None
@@ -226,8 +228,8 @@ class Cell:
     def _settle(self, moving: bool) -> None:
         """Equilibrium of arm and contact at the new motor angles.
 
-        The lever arms are those of the configuration that the step begins with: they change by 1e-6 of their length in a
-        step, and the next one starts from the new configuration. A free arm that moves winds up no friction: its gears turn.
+        Lever arms are taken from a configuration at most _REUSE away, which leaves nanometres. A free arm that moves winds up
+        no friction: its gears turn.
         """
         plant, q = self._plant, self._motor()[None]
         free = self._process is None and not self._contact.touching
@@ -235,7 +237,7 @@ class Cell:
             return  # nothing pushes and nothing moves
         self._settled_at = q
         begin, force = self._state, self._force
-        frames = plant.frames(q, begin.e)
+        frames = self._frames_near(q, begin.e)
         in_cell = self._rail * self._rail_axis
         after = Contact()
         conditions = self._make_conditions(force)
@@ -267,6 +269,18 @@ class Cell:
         self._freed = self._freed and crushed  # a cleared robot may move out of the tooling
         p_tcp = frames.p_tcp + (self._state.e - begin.e) @ frames.lever[0]
         self._frames = replace(frames, p_tcp=p_tcp)
+
+    def _frames_near(self, q: Array, e: Array) -> Frames:
+        """Configuration at q and e; after small changes the last one computed, with the TCP moved along its lever arms."""
+        if self._base is not None:
+            q_base, e_base, frames = self._base
+            dq, de = q - q_base, e - e_base
+            if max(float(np.abs(dq).max()), float(np.abs(de).max())) < _REUSE:
+                de[:, self._plant.axial] += dq
+                return replace(frames, p_tcp=frames.p_tcp + de @ frames.lever[0])
+        frames = self._plant.frames(q, e)
+        self._base = q, e, frames
+        return frames
 
     # -- what is measured -------------------------------------------------------------------------------------------
 

@@ -21,6 +21,7 @@ Gap = Callable[[Array], tuple[float, Array]]
 RING_STIFFNESS = np.array([0.45, 0.30, 0.15, 0.10])  # share of the tangential stiffness
 RING_PRESSURE = np.array([0.60, 0.27, 0.09, 0.04])  # share of the normal force
 _EYE = np.eye(3)
+_TOLERANCE = 0.01  # N
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def solve_contact(disc: Disc, gap: Gap, p_free: Array, compliance: Array, memory
     for _ in range(25):
         answer, derivative, after = contact_force(disc, gap, p_free + compliance @ force, memory)
         residual = answer - force
-        if np.abs(residual).max() < 1e-3:
+        if np.abs(residual).max() < _TOLERANCE:
             return answer, after
         force = force + np.linalg.solve(_EYE - derivative @ compliance, residual)
     # Newton alternates between two branches only where a ring is just about to slip: both are within that ring's force
