@@ -120,7 +120,8 @@ class ChainSource:
 
 
 class GivenSource:
-    """Offsets that another process writes, for example from the topic irec/offset: limited again here, held, then faded when stale."""
+    """Offsets that another process writes, for example from the topic irec/offset: limited again here, held, then faded when
+    stale."""
 
     def __init__(self, settings: CorrectionSettings, block: SharedValues, timeout: float) -> None:
         """Args: timeout: s without a new offset."""

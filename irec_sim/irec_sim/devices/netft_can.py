@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """An ATI Net F/T on CAN, as far as the protocol goes: answers requests on its base identifier, with faults on demand.
 
-Long answer (request 0x01): base+1 Fx Tx, base+2 Fy Ty, base+3 Fz Tz, base+4 status and counter, little-endian 32 bit. Short answer (0x02):
-base+5 Fx Tx Fy Ty, base+6 Fz Tz status counter, 16 bit. 0x04 takes the present load as zero.
+Long answer (request 0x01): base+1 Fx Tx, base+2 Fy Ty, base+3 Fz Tz, base+4 status and counter, little-endian 32 bit. Short
+answer (0x02): base+5 Fx Tx Fy Ty, base+6 Fz Tz status counter, 16 bit. 0x04 takes the present load as zero.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ class Faults:
     """What goes wrong.
 
     Attributes:
-        silent: answers nothing. frozen: repeats one sample for ever. lose_frames: this many frames vanish. status: bits that it sends.
+        silent: answers nothing. frozen: repeats one sample for ever. lose_frames: this many frames vanish. status: bits that
+            it sends.
     """
 
     silent: bool = False

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller's side of KUKA RSI (ETHERNET object): sends its state once per cycle, wants the same IPOC back before the next one.
+"""The controller's side of KUKA RSI (ETHERNET object): sends its state once per cycle, wants the same IPOC back before the
+next one.
 
-As on the KRC: late answers are counted (`Delay`), with HOLDON=1 the last correction is kept meanwhile, and after `timeout` late packets in
-a row RSI stops and so does the robot.
+As on the KRC: late answers are counted (`Delay`), with HOLDON=1 the last correction is kept meanwhile, and after `timeout`
+late packets in a row RSI stops and so does the robot.
 """
 
 from __future__ import annotations
@@ -92,7 +93,8 @@ class RsiController:
         """Open the socket.
 
         Args:
-            peer: the PC that answers. timeout: late packets in a row after which RSI stops. limit: of POSCORR, m; beyond it RSI stops.
+            peer: the PC that answers. timeout: late packets in a row after which RSI stops. limit: of POSCORR, m; beyond it
+                RSI stops.
             holdon: keep the last correction while answers are late; otherwise it drops to zero.
         """
         self.peer, self.period, self.timeout, self.holdon, self.limit, self.sentype = (
