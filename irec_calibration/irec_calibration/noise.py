@@ -41,33 +41,41 @@ class Whitening:
     group: IntArray
 
     def __post_init__(self) -> None:
-        blocks = []
+        by_size: dict[int, list[IntArray]] = {}
         if np.any(self.sigma_reference > 0.0):
             for g in np.unique(self.group):
                 rows = np.flatnonzero(self.group == g)
-                covariance = np.diag(self.sigma[rows] ** 2) + self.sigma_reference[rows[0]] ** 2
-                blocks.append((rows, np.linalg.inv(np.linalg.cholesky(covariance))))
+                by_size.setdefault(len(rows), []).append(rows)
+        blocks = []
+        for groups in by_size.values():
+            index = np.stack(groups)
+            covariance = self.sigma[index][:, :, None] ** 2 * np.eye(index.shape[1]) + self.sigma_reference[index[:, 0]][:, None, None] ** 2
+            L = np.linalg.cholesky(covariance)
+            blocks.append((index, np.linalg.inv(L), L))
         object.__setattr__(self, "_blocks", blocks)
 
     def __call__(self, x: Array) -> Array:
         """Whiten an array whose first axis runs over the rows, in m; the result is in standard deviations."""
-        blocks: list[tuple[IntArray, Array]] = self._blocks  # type: ignore[attr-defined]
+        blocks: list[tuple[IntArray, Array, Array]] = self._blocks  # type: ignore[attr-defined]
         if not blocks:
             return x / self.sigma.reshape(-1, *[1] * (x.ndim - 1))
-        out = np.empty_like(x)
-        for rows, L_inverse in blocks:
-            out[rows] = np.tensordot(L_inverse, x[rows], axes=1)
-        return out
+        return self._times(x, [(index, inverse) for index, inverse, _ in blocks])
 
     def undo(self, z: Array) -> Array:
         """Back from standard deviations to m: the inverse of whitening."""
-        blocks: list[tuple[IntArray, Array]] = self._blocks  # type: ignore[attr-defined]
+        blocks: list[tuple[IntArray, Array, Array]] = self._blocks  # type: ignore[attr-defined]
         if not blocks:
             return z * self.sigma.reshape(-1, *[1] * (z.ndim - 1))
-        out = np.empty_like(z)
-        for rows, L_inverse in blocks:
-            out[rows] = np.linalg.solve(L_inverse, z[rows].reshape(len(rows), -1)).reshape(z[rows].shape)
-        return out
+        return self._times(z, [(index, L) for index, _, L in blocks])
+
+    @staticmethod
+    def _times(x: Array, blocks: list[tuple[IntArray, Array]]) -> Array:
+        """Rows of each group of one size (k, s) multiplied by their matrix (k, s, s)."""
+        flat = x.reshape(len(x), -1)
+        out = np.empty_like(flat)
+        for index, matrix in blocks:
+            out[index] = matrix @ flat[index]
+        return out.reshape(x.shape)
 
     @property
     def floor(self) -> float:

@@ -84,6 +84,14 @@ def shape_values(study: Study, effect: Effect, parameter: Parameter) -> tuple[fl
     return tuple(grid[parted])
 
 
+def block_at(study: Study, variant: Variant, shape: dict[str, float]) -> Block:
+    """The columns of a variant at other shape values."""
+    parameters = variant.effect.parameters(study.ready)
+    theta = np.array([shape.get(p.name, 0.0) for p in parameters])
+    chosen = [i for i, p in enumerate(parameters) if p.name in variant.names]
+    return replace(variant.block, A=study.columns(study.regressor(variant.effect, theta)[:, :, chosen] * variant.scale))
+
+
 def try_effect(study: Study, effect: Effect, check: Callable[[], None] = lambda: None) -> Trial | None:
     """Try an effect in all its variants on top of a model; None where none of its columns shows in this session."""
     alone = study.bench.posterior(study.base).log_evidence

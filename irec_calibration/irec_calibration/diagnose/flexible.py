@@ -8,7 +8,7 @@ import numpy as np
 from ..observe import Observation
 from ..typing import Array
 
-TREES = 120
+TREES = 60
 FOLDS = 5
 FEWEST_POSES = 8
 

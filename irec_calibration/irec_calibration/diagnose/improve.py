@@ -14,9 +14,9 @@ from ..session.data import Session
 from ..typing import Json
 from .candidates import try_effect
 from .held_out import HeldOut, held_out
-from .judge import Judgement, judge
+from .judge import judge
 from .result import Diagnosis, finite
-from .run import Progress, diagnose, start_terms
+from .run import Progress, examine
 from .search import NATS_TO_NAME, Hypothesis, refit, search
 from .study import Study, prepare, study_of
 from .tool_weight import reference_readings
@@ -95,16 +95,11 @@ def improve(
         if cancelled is not None and cancelled():
             raise Cancelled("the improvement was cancelled")
 
-    before = diagnose(session, model, progress=lambda s, what: say(0.5 * s, what), cancelled=cancelled)
-    study = prepare(session, model.terms if model else start_terms(session))
+    before, found, verdict = examine(session, model, progress=lambda s, what: say(0.5 * s, what), cancelled=cancelled)
+    study = found.study
     rungs = [_rung(study, "", 0.0, model)]
-    readings = reference_readings(study.ready, session.noise.force_n) if session.kind == "loaded" else None
     stopped = "no further effect is justified"
-    verdict: Judgement | None = None
     while len(rungs) <= MOST_EFFECTS:
-        say(min(0.95, 0.5 + 0.15 * len(rungs)), f"looking for a further effect beside {', '.join(rungs[-1].effects)}")
-        found = search(study, check)
-        verdict = judge(found, None, check)
         if verdict.chosen is None or verdict.status != "missing_effect":
             if verdict.status == "unexplained":
                 stopped = "what is left has structure, but no effect explains it"
@@ -112,8 +107,11 @@ def improve(
         for step in _one_by_one(study, verdict.chosen):
             study = step.study
             rungs.append(_rung(study, step.ids[-1], step.log_evidence, rungs[-1].model))
+        say(min(0.95, 0.5 + 0.15 * len(rungs)), f"looking for a further effect beside {', '.join(rungs[-1].effects)}")
+        verdict = judge(search(study, check), None, check)
     else:
         stopped = f"{MOST_EFFECTS} effects were added"
+    readings = reference_readings(found.study.ready, session.noise.force_n) if session.kind == "loaded" else None
     if readings is not None and readings.log_evidence > NATS_TO_NAME and "tool_weight" not in rungs[-1].effects:
         term = next(c.term for c in before.candidates if c.effect == "tool_weight")
         last = rungs[-1]

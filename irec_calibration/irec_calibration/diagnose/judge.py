@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the evidence to a verdict: adequate, missing effect, or unexplained.
 
-A name is given only where the effect is significant, helps on held-out poses, leaves no structure of size behind, and is told apart
-from its rivals or named together with them. A wrong name given with confidence is the worst outcome.
+A name is given only where the effect is significant, helps on held-out poses, leaves no structure of size behind, and is
+told apart from its rivals or named together with them. A wrong name given with confidence is the worst outcome.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ NATS_FOR_STRUCTURE = 9.0  # evidence of a structure without a name that makes it
 SHARE_TO_NAME = 0.75  # of the explainable excess that the named effects must explain
 SHARE_OF_SECOND = 0.08  # of the excess that a second effect must bring to be named beside the first
 CHI2_SIGMAS = 5.0  # by which chi2 must exceed its expectation to say that noise does not explain the residual
+NATS_TO_BEAT = 12.0  # by which a structure without a name must beat the best effect to deny it the name (some 300 are tried)
 HELD_OUT_SIGMAS = 1.5  # by which the held-out loss must fall, over poses
 
 
@@ -34,7 +35,7 @@ class Judgement:
     Attributes:
         chosen: the hypothesis that is named or came closest; None where no effect is significant.
         rivals: other hypotheses with as many effects that can't be told from it.
-        left: structures without a name on top of the chosen model, best first.
+        left: structures without a name on top of the chosen model, best first; unnamed: on top of the model alone.
         explained: share of the excess over noise that the chosen model explains.
     """
 
@@ -49,6 +50,7 @@ class Judgement:
     held_out_chosen: HeldOut | None
     size_m: float
     reason: str
+    unnamed: tuple[Unnamed, ...] = ()
 
 
 def judge(found: Search, readings: Readings | None, check: Callable[[], None] = lambda: None) -> Judgement:
@@ -81,13 +83,24 @@ def judge(found: Search, readings: Readings | None, check: Callable[[], None] = 
     rivals = _rivals(found, chosen)
     mean, se, _ = gain(base_cv, chosen_cv)
     helps = not np.isfinite(mean) or "station_shift" in chosen.ids or mean > HELD_OUT_SIGMAS * se
-    named = helps and explained >= SHARE_TO_NAME
-    reason = "" if named else "it does not help on held-out poses" if not helps else "it explains only a part"
+    unnamed = tuple(search_unnamed(study, check))
+    beaten = bool(unnamed) and unnamed[0].log_evidence > chosen.log_evidence + NATS_TO_BEAT and not _in_family(chosen, unnamed[0])
+    named = helps and explained >= SHARE_TO_NAME and not beaten
+    reason = ""
+    if not named:
+        reason = (
+            "it does not help on held-out poses" if not helps else "it explains only a part" if not beaten else unnamed[0].frame
+        )
     status = "missing_effect" if named else "unexplained"
-    if status == "unexplained" and not variables:
-        on_base = search_unnamed(study, check)
-        variables = tuple(depends_on(on_base, NATS_FOR_STRUCTURE)) if on_base else ()
-    return Judgement(status, chosen, rivals, left, variables, explained, readings, base_cv, chosen_cv, size, reason)
+    if status == "unexplained" and (beaten or not variables):
+        variables = tuple(depends_on(list(unnamed), NATS_FOR_STRUCTURE)) if unnamed else ()
+    return Judgement(status, chosen, rivals, left, variables, explained, readings, base_cv, chosen_cv, size, reason, unnamed)
+
+
+def _in_family(chosen: Hypothesis, other: Unnamed) -> bool:
+    """Whether a structure without a name is a coarse picture of an effect that is named."""
+    torque_effects = {"joint_stiffening", "joint_backlash", "joint_hysteresis", "counterbalance"}
+    return bool(torque_effects & set(chosen.ids)) and "ax" in other.frame and other.variables[0][:4] in ("tau_", "load")
 
 
 def _choose(found: Search) -> Hypothesis | None:

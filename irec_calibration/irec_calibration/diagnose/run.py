@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import Cancelled, SolveError
-from ..identify import model_of
-from ..model import EIGHTEEN_DOF, Estimate, Model, Term, blank_model
+from ..identify import default_terms, model_of
+from ..model import Estimate, Model, Term
 from ..session.data import Session
 from .candidates import Trial
 from .comparison import compare_observed
@@ -31,7 +31,7 @@ TOOL_WEIGHT = "tool_weight"
 
 def start_terms(session: Session) -> tuple[Term, ...]:
     """The terms that a diagnosis starts from where no model is named."""
-    return blank_model(EIGHTEEN_DOF if session.kind == "loaded" else ("geometry_error", "joint_torsion"))
+    return default_terms(session)
 
 
 def diagnose(
@@ -53,6 +53,17 @@ def diagnose(
         SolveError: the session can't be used with this model.
         Cancelled: as asked for.
     """
+    return examine(session, model, progress=progress, cancelled=cancelled)[0]
+
+
+def examine(
+    session: Session,
+    model: Model | None = None,
+    *,
+    progress: Progress | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> tuple[Diagnosis, Search, Judgement]:
+    """As `diagnose`, with what the diagnosis rests on."""
     say = progress or (lambda share, what: None)
 
     def check() -> None:
@@ -94,7 +105,7 @@ def diagnose(
         notes=comparison.notes,
     )
     say(1.0, "done")
-    return result
+    return result, found, verdict
 
 
 def _candidates(found: Search, verdict: Judgement, readings: Readings | None, check: Callable[[], None]) -> tuple[Candidate, ...]:

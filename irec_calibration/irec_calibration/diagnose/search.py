@@ -13,12 +13,12 @@ from scipy.optimize import minimize_scalar
 from ..effects import Effect, known_effects
 from ..errors import SolveError
 from ..model import Estimate, Term
-from .candidates import Trial, try_effect
+from .candidates import Trial, block_at, try_effect
 from .priors import FACTORS
 from .study import Study, study_of
 
 NATS_TO_NAME = 8.0  # log evidence over the simpler model that a name needs: odds of 3000 before the number of effects is counted
-NATS_TO_SEPARATE = 3.0  # less than this between two explanations: they can't be told apart
+NATS_TO_SEPARATE = 5.0  # less than this between two explanations: they can't be told apart
 NATS_TO_REFIT = 25.0  # rivals this close to the best are refitted exactly
 REFITTED_AT_MOST = 6
 PAIRED_AT_MOST = 3
@@ -82,19 +82,15 @@ def refit(study: Study, base: Study, trial: Trial) -> Hypothesis | None:
     """The model of `study` with a tried effect, fitted exactly, with its shape values refined; None where the fit fails."""
     variant = trial.best
 
-    def at(shape: dict[str, float]) -> Study:
-        known = dict(zip(variant.names, trial.posterior.x[-len(variant.names) :] * variant.scale, strict=True)) | shape
-        parameters = variant.effect.parameters(study.ready)
-        estimates = {
-            p.name: Estimate(float(np.clip(known[p.name], p.lower, p.upper)), unit=p.unit, lower=p.lower, upper=p.upper)
-            for p in parameters
-            if p.name in known
-        }
-        return study_of(study.observation, (*study.terms, Term(variant.effect, estimates)))
-
+    shape = _refined(study, trial)
+    known = dict(zip(variant.names, trial.posterior.x[-len(variant.names) :] * variant.scale, strict=True)) | shape
+    estimates = {
+        p.name: Estimate(float(np.clip(known[p.name], p.lower, p.upper)), unit=p.unit, lower=p.lower, upper=p.upper)
+        for p in variant.effect.parameters(study.ready)
+        if p.name in known
+    }
     try:
-        shape = _refined(at, trial, study)
-        found = at(shape)
+        found = study_of(study.observation, (*study.terms, Term(variant.effect, estimates)))
     except SolveError:
         return None
     added = len(found.terms) - len(base.terms)
@@ -106,7 +102,7 @@ def _evidence(study: Study, effects: int) -> float:
     return study.bench.posterior(study.base).log_evidence - effects * log(len(FACTORS))
 
 
-def _refined(at: Callable[[dict[str, float]], Study], trial: Trial, study: Study) -> dict[str, float]:
+def _refined(study: Study, trial: Trial) -> dict[str, float]:
     """The shape values of a trial; a continuous one is moved between its grid neighbours to where the evidence is best."""
     shape = dict(trial.best.shape)
     for p in trial.effect.parameters(study.ready):
@@ -117,10 +113,13 @@ def _refined(at: Callable[[dict[str, float]], Study], trial: Trial, study: Study
         low = grid[i - 1] if i else grid[0] ** 2 / grid[1]
         high = grid[i + 1] if i + 1 < len(grid) else grid[-1] ** 2 / grid[-2]
         low, high = max(low, p.lower), min(high, p.upper)
-        found = minimize_scalar(
-            lambda u, name=p.name: -_evidence(at(shape | {name: float(np.exp(u))}), 0),
-            bounds=(np.log(low), np.log(high)), method="bounded", options={"maxiter": 8, "xatol": 0.05},
-        )  # fmt: skip
+
+        def loss(u: float, name: str = p.name) -> float:
+            block = block_at(study, trial.best, shape | {name: float(np.exp(u))})
+            return -study.bench.posterior(study.base + block).log_evidence
+
+        bounds = (np.log(low), np.log(high))
+        found = minimize_scalar(loss, bounds=bounds, method="bounded", options={"maxiter": 10, "xatol": 0.02})
         shape[p.name] = float(np.exp(found.x))
     return shape
 

@@ -15,16 +15,39 @@ class JointSettling(Effect):
     label = "joint settling"
     physics = (
         "The controller's joint angle was read while the arm was still creeping into place: J_k a_k times the step of joint k since the "
-        "previous row; a > 0: the arm was further along the step than reported. Missing, the residual is proportional to the step just made, "
-        "not to its sign: it imitates backlash."
+        "previous row; a > 0: the arm was further along the step than reported. With travel 1 the reference of a loaded session was read too "
+        "early as well, after the travel from the pose before. Missing, the residual is proportional to the step just made, not to its sign: "
+        "it imitates backlash."
     )
     needs = ("step",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        return tuple(
-            Parameter(f"a_{k + 1}", "1", 1e-2 if scene.kind == "loaded" else 1e-4, -1.0, 1.0, plausible=(-0.5, 0.5), group=f"axis {k + 1}")
+        loaded = scene.kind == "loaded"
+        axes = tuple(
+            Parameter(f"a_{k + 1}", "1", 1e-2 if loaded else 1e-4, -1.0, 1.0, plausible=(-0.5, 0.5), group=f"axis {k + 1}")
             for k in np.flatnonzero(scene.driven)
         )
+        return (*axes, Parameter("travel", "0 or 1", 1.0, 0.0, 1.0, start=1.0, grid=(0.0, 1.0))) if loaded else axes
+
+    def displacement(self, scene: Scene, theta: Array) -> Array:
+        return self._columns(scene, theta) @ theta[: int(scene.driven.sum())]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        return (scene.J * scene.step[:, None, :])[:, :, scene.driven]
+        columns = self._columns(scene, theta)
+        return columns if scene.kind == "absolute" else np.concatenate([columns, np.zeros((len(scene), 3, 1))], axis=2)
+
+    def _columns(self, scene: Scene, theta: Array) -> Array:
+        step = scene.step
+        if scene.kind == "loaded" and theta[-1] >= 0.5:
+            step = step + travel_to_reference(scene)
+        return (scene.J * step[:, None, :])[:, :, scene.driven]
+
+
+def travel_to_reference(scene: Scene) -> Array:
+    """Joint motion from the pose before to the reference of each pose, in its reference row, (n, k), rad; 0 elsewhere."""
+    out = np.zeros_like(scene.q)
+    order = np.lexsort((scene.load_case, scene.stamp))
+    for before, now in zip(order[:-1], order[1:], strict=True):
+        if scene.load_case[now] == 0:
+            out[now] = scene.q[now] - scene.q[before]
+    return out
