@@ -21,6 +21,7 @@ from .typing import Array
 G = (0.0, 0.0, -9.81)
 MIN_SPREAD = 0.15  # smallest singular value of the directions of gravity over sqrt(n); below it a bias can't be told from weight
 MIN_ORIENTATIONS = 4
+MIN_READINGS = 20  # in one standing time
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class ToolLoadFit:
     Attributes:
         se: standard error of each number, same names as in `load` (each a float or a tuple).
         residual_force, residual_torque: RMS per axis, N and N m.
+        worst: index of the orientation that fits worst, and its force residual, N: a contact or a hose that pulls shows here.
         spread: how evenly the orientations turn gravity in the sensor, 0 .. 0.58 (1/sqrt(3)).
         orientations: number of them.
     """
@@ -73,6 +75,7 @@ class ToolLoadFit:
     se: dict[str, float | tuple[float, ...]]
     residual_force: float
     residual_torque: float
+    worst: tuple[int, float]
     spread: float
     orientations: int
 
@@ -145,14 +148,52 @@ def identify_tool_load(
     }  # fmt: skip
     if alignment:
         errors["alignment"] = _three(se[10:])
+    by_force, by_torque = r[:n_f].reshape(n, 3) * scale_f, r[n_f:].reshape(n, 3) * scale_t
+    worst = int(np.argmax(np.linalg.norm(by_force, axis=1)))
     return ToolLoadFit(
-        load,
-        errors,
-        float(np.sqrt(np.mean((r[:n_f] * scale_f) ** 2))),
-        float(np.sqrt(np.mean((r[n_f:] * scale_t) ** 2))),
-        spread,
-        n,
+        load=load,
+        se=errors,
+        residual_force=float(np.sqrt(np.mean(by_force**2))),
+        residual_torque=float(np.sqrt(np.mean(by_torque**2))),
+        worst=(worst, float(np.linalg.norm(by_force[worst]))),
+        spread=spread,
+        orientations=n,
     )
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Means over the times at which the robot stood still: joint angles (s, k), rad, and readings (s, 6), N and N m."""
+
+    q: Array
+    readings: Array
+
+
+def standing(
+    q_stamp: Array, q: Array, wrench_stamp: Array, wrench: Array, shortest: float = 0.5, settle: float = 0.3, still: float = 5e-4
+) -> Standing:
+    """Find where the robot stands still and average the readings there.
+
+    Args:
+        q_stamp (n,), s, q (n, k), rad; wrench_stamp (m,), s, wrench (m, 6): as recorded, in the order of time.
+        shortest: s of standing that counts. settle: s left out at its beginning. still: rad that a joint may differ from where it
+            stood first.
+    """
+    begin, spans = 0, []
+    for i in range(1, len(q_stamp) + 1):
+        moved = i == len(q_stamp) or bool(np.any(np.abs(q[i] - q[begin]) > still))
+        if moved:
+            if q_stamp[i - 1] - q_stamp[begin] >= shortest + settle:
+                spans.append((begin, i))
+            begin = i
+    means_q, means_w = [], []
+    for first, end in spans:
+        inside = (wrench_stamp >= q_stamp[first] + settle) & (wrench_stamp <= q_stamp[end - 1])
+        if np.count_nonzero(inside) >= MIN_READINGS:
+            means_q.append(q[first:end].mean(axis=0))
+            means_w.append(wrench[inside].mean(axis=0))
+    k = q.shape[1]
+    return Standing(np.array(means_q).reshape(-1, k), np.array(means_w).reshape(-1, 6))
 
 
 def _weights(force: Array, torque: Array, g: Array) -> tuple[float, float]:
