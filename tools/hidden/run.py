@@ -3,8 +3,8 @@
 
     python tools/hidden/run.py DIR -o OUT [--processes 2] [--only NAME ...]
 
-For each session OUT/<name>/ gets what `irec improve` leaves (without figures), the 18-DOF model (base.yaml), the predictions
-of both for the validation session (base.csv, model.csv), and timing.json.
+For each session OUT/<name>/ gets what `irec improve` leaves (without figures), the 18-DOF model (base.yaml), the
+predictions of both for the validation session (base.csv, model.csv), and timing.json.
 """
 
 from __future__ import annotations
