@@ -11,7 +11,7 @@ INTERFACES := $(wildcard irec_msgs/msg/*.msg irec_msgs/srv/*.srv irec_msgs/actio
 SETUPS := $(foreach p,$(PACKAGES),$(wildcard $(p)/setup.py $(p)/setup.cfg $(p)/package.xml $(p)/launch/*.launch.py))
 LAUNCH := $(foreach p,$(PACKAGES),$(wildcard $(p)/launch/*.launch.py))
 
-.PHONY: help build demo test lint bench clean
+.PHONY: help build demo demo-hidden test lint bench clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | column -t -s '|'
@@ -28,6 +28,9 @@ $(STAMPS)/workspace: $(STAMPS)/environment tools/build.sh $(INTERFACES) $(SETUPS
 
 demo: build ## calibrate the simulated AFP cell through the nodes and drive a course with correction
 	@$(RUN) python tools/demo.py
+
+demo-hidden: build ## a cell with an effect that the model lacks: find it, add it, watch the error fall
+	@$(RUN) python tools/demo_hidden.py
 
 test: build ## the whole suite
 	@$(RUN) bash tools/test.sh

@@ -12,6 +12,7 @@ import os
 import shutil
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 N_POSES, D_MAX, POOL, SEED = 31, 0.175, 3000, 1  # of the plan: paper 4.2.3, d_max in m
 PROCEDURE_TIMEOUT = 600.0  # s of the machine's clock
 COURSE_TIMEOUT = 180.0
+SPEED = 6.0  # simulated seconds per second, at most
 COURSE_SPEED = 2.0  # simulated seconds per second: the correction has to keep up with 250 Hz of the cell's clock
 MAX_LEAD = 0.04  # s of the cell's clock that it may be ahead of procedure and correction: less than their watchdogs allow
 COURSE_TAKES = 14.0  # s of the machine's clock, about
@@ -43,15 +45,19 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "demo", help="folder for results (default: out/demo)")
     parser.add_argument("--cell", type=Path, default=ROOT / "config" / "cells" / "afp.yaml", help="cell file")
     parser.add_argument("--poses", type=int, default=N_POSES, help=f"number of engagement poses (default: {N_POSES})")
-    parser.add_argument("--speed", type=float, default=6.0, help="simulated seconds per second, at most (default: 6)")
-    args = parser.parse_args()
-    os.environ["ROS_DOMAIN_ID"] = str(101 + os.getpid() % 100)  # before the first ROS import: nobody else's topics
+    parser.add_argument("--speed", type=float, default=SPEED, help=f"simulated seconds per second, at most (default: {SPEED:g})")
+    return guarded(parser.parse_args(), _run)
+
+
+def guarded(args: argparse.Namespace, run: Callable[[argparse.Namespace], None]) -> int:
+    """Run a demo on a ROS domain of its own; one line for what went wrong and exit code 2, 130 where it was cancelled."""
+    os.environ["ROS_DOMAIN_ID"] = str(10 + os.getpid() % 50)  # before the first ROS import: nobody else's topics
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     from demo_parts.operator import AskedInVain
     from demo_parts.processes import NodeEnded
 
     try:
-        _run(args)
+        run(args)
     except (IrecError, AskedInVain, NodeEnded, ValueError) as error:
         print(f"\ndemo: {error}", file=sys.stderr)
         return 2
@@ -72,23 +78,23 @@ def _run(args: argparse.Namespace) -> None:
     out.mkdir(parents=True)
     progress = Progress()
     progress.stage("plan", f"planning {args.poses} engagement poses on the mould")
-    poses = _plan(args, out)
+    poses = plan_poses(args, out)
     progress.stage("start", "starting the simulated cell, procedure, calibration and recorder")
     with Processes(out / "log", {}) as processes:
-        _start(processes, args, out)
+        start_nodes(processes, args, out)
         operator = Operator(processes.check)
         try:
-            made = _calibrate(operator, progress, args, out, poses)
+            made = calibrate(operator, progress, args, out, poses)
             progress.stage("course", "starting the correction, driving the loaded course without it")
-            _start_correction(processes, args)
-            made["courses"] = _drive(operator, progress, args, out, made["models"]["18 DOF"][0])
+            start_correction(processes, args)
+            made["courses"] = drive(operator, progress, args, out, {"without": None, "with": made["models"]["18 DOF"][0]})
         finally:
             operator.close()
     progress.stage("figures", "drawing figures")
     _draw_and_tell(args, out, made, progress)
 
 
-def _plan(args: argparse.Namespace, out: Path) -> Path:
+def plan_poses(args: argparse.Namespace, out: Path) -> Path:
     """Poses of the cell if its file is there and fits, planned ones else."""
     cell = read_cell(args.cell)
     path = out / "poses.yaml"
@@ -103,12 +109,14 @@ def _plan(args: argparse.Namespace, out: Path) -> Path:
     return write_poses(pose_list(cell, plan), path)
 
 
-def _start(processes: Processes, args: argparse.Namespace, out: Path) -> None:
+def start_nodes(processes: Processes, args: argparse.Namespace, out: Path, truth: str = "") -> None:
+    """Start all nodes but the correction. `truth` is a file with hidden physics that only the simulated cell reads."""
     start = processes.start
     sim = {"use_sim_time": True}
     cell = str(args.cell)
     limits = {"speed_factor": args.speed, "max_lead": MAX_LEAD}
-    start("cell", "irec_sim.nodes.cell_node", {"cell": cell, "course_csv": str(out / "course.csv"), **limits})
+    hidden = {"truth": truth} if truth else {}
+    start("cell", "irec_sim.nodes.cell_node", {"cell": cell, "course_csv": str(out / "course.csv"), **hidden, **limits})
     start("procedure", "irec_calibration.nodes.procedure_node", {"cell": cell, "session_folder": str(out), **sim})
     folder = str(out / "calibrations")
     start("calibration", "irec_calibration.nodes.calibration_node", {"cell": cell, "calibration_folder": folder, **sim})
@@ -117,12 +125,12 @@ def _start(processes: Processes, args: argparse.Namespace, out: Path) -> None:
     start("recorder", "irec_calibration.nodes.recorder_node", recorder)
 
 
-def _start_correction(processes: Processes, args: argparse.Namespace) -> None:
+def start_correction(processes: Processes, args: argparse.Namespace) -> None:
     parameters = {"cell": str(args.cell), "autostart": True, "use_sim_time": True}
     processes.start("correction", "irec_correction.nodes.correction_node", parameters)
 
 
-def _calibrate(operator: Operator, tell: Progress, args: argparse.Namespace, out: Path, poses: Path) -> dict[str, Any]:
+def calibrate(operator: Operator, tell: Progress, args: argparse.Namespace, out: Path, poses: Path) -> dict[str, Any]:
     """Procedure 1 and both models."""
     from irec_msgs.action import RunProcedure
     from irec_msgs.srv import SolveCompliances
@@ -156,8 +164,8 @@ def _calibrate(operator: Operator, tell: Progress, args: argparse.Namespace, out
     return {"session": session, "models": models, "poses": result.poses_recorded, "path_poses": poses}
 
 
-def _drive(operator: Operator, tell: Progress, args: argparse.Namespace, out: Path, model: Path) -> dict[str, Path]:
-    """The loaded course without and with correction; the tables that the cell writes."""
+def drive(operator: Operator, tell: Progress, args: argparse.Namespace, out: Path, models: dict[str, Path | None]) -> dict[str, Path]:
+    """The loaded course once for each model, None for no correction; the tables that the cell writes, by the same names."""
     from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
     from rcl_interfaces.srv import SetParameters
     from std_srvs.srv import Trigger
@@ -174,13 +182,13 @@ def _drive(operator: Operator, tell: Progress, args: argparse.Namespace, out: Pa
     operator.call(SetParameters, "cell/set_parameters", slower, 10.0)
     ask(Trigger, "recorder/start", Trigger.Request(), 10.0)
     courses, home = {}, read_cell(args.cell).home.tolist()
-    for name in ("without", "with"):
-        if name == "with":
+    for name, model in models.items():
+        if model is not None:
             ask(ActivateModel, "irec/correction/activate_model", ActivateModel.Request(model_path=str(model)), 20.0)
-            tell.say("the model is in force; driving the course again with correction")
+            tell.say(f"{model.name} is in force; driving the course again with correction")
 
         def show(seconds: float, name: str = name) -> None:
-            tell.update(f"course {name} correction, {seconds:.0f} s of about {COURSE_TAKES:.0f} s")
+            tell.update(f"course '{name}', {seconds:.0f} s of about {COURSE_TAKES:.0f} s")
 
         operator.move_joints(home, 0.5, 60.0)  # away from the mould, before going to where the course begins
         ask(Trigger, "sim/run_course", Trigger.Request(), COURSE_TIMEOUT, show)
