@@ -61,6 +61,11 @@ class Case:
         return self.first_right or any(e in self.hidden for e in [*self.named, *self.ranked][:3])
 
     @property
+    def right(self) -> bool:
+        expected = {"clean": "adequate", "outside": "unexplained"}.get(self.kind)
+        return self.first_right if expected is None else self.status == expected
+
+    @property
     def wrong_with_confidence(self) -> bool:
         return self.status == "missing_effect" and not self.first_right
 
@@ -159,9 +164,8 @@ def summary(cases: list[Case]) -> str:
             to_before = np.median([c.after / c.before for c in some])
             lines.append(f"validation error, {label}, median: after/oracle {to_oracle:.2f}, after/before {to_before:.2f}")
     if clean:
-        lines.append(
-            f"validation error, clean cells, median: after/18-DOF least squares {np.median([c.after / c.before for c in clean]):.2f}"
-        )
+        to_plain = np.median([c.after / c.before for c in clean])
+        lines.append(f"validation error, clean cells, median: after/18-DOF least squares {to_plain:.2f}")
     lines.append(
         f"irec improve: median {np.median([c.seconds for c in cases]):.1f} s, slowest {max(c.seconds for c in cases):.1f} s"
     )
@@ -184,19 +188,10 @@ def main() -> int:
         n = len(rows)
         cases = list(pool.map(read_case, rows, [args.matrix] * n, [args.truth] * n, [args.output] * n))
     for c in sorted(cases, key=lambda c: (c.kind, c.hidden, c.strength)):
-        mark = (
-            "ok"
-            if (
-                c.first_right
-                if c.hidden and c.kind != "outside"
-                else c.status == ("adequate" if c.kind == "clean" else "unexplained")
-            )
-            else "--"
-        )
+        hidden, said = "+".join(c.hidden) or "-", "+".join(c.named)
         seen = "" if c.visible or c.kind in ("clean", "outside") else "(not visible)"
-        print(
-            f"{mark} {c.name} {c.kind:8} {'+'.join(c.hidden) or '-':40} {100 * c.strength:3.0f} % {c.status:15} {'+'.join(c.named)} {seen}"
-        )
+        mark = "ok" if c.right else "--"
+        print(f"{mark} {c.name} {c.kind:8} {hidden:40} {100 * c.strength:3.0f} % {c.status:15} {said} {seen}")
     print(summary(cases))
     return 0
 
