@@ -11,7 +11,7 @@ INTERFACES := $(wildcard irec_msgs/msg/*.msg irec_msgs/srv/*.srv irec_msgs/actio
 SETUPS := $(foreach p,$(PACKAGES),$(wildcard $(p)/setup.py $(p)/setup.cfg $(p)/package.xml $(p)/launch/*.launch.py))
 LAUNCH := $(foreach p,$(PACKAGES),$(wildcard $(p)/launch/*.launch.py))
 
-.PHONY: help build demo demo-hidden test lint bench clean
+.PHONY: help build demo demo-hidden test lint bench hidden clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | column -t -s '|'
@@ -42,6 +42,14 @@ lint: build ## ruff, mypy, launch files
 
 bench: build ## how fast it is, beside plain ways of doing the same
 	@$(RUN) for file in tools/bench/*.py; do echo "== $$file"; python "$$file" || exit 1; done
+
+HIDDEN_SEED ?= 2026
+
+hidden: build ## blind matrix of hidden effects: generate, diagnose and improve, score (about 20 min)
+	@rm -rf out/hidden out/hidden-truth out/hidden-said
+	@$(RUN) irec-sim hidden --out out/hidden --seed $(HIDDEN_SEED) \
+	  && python tools/hidden/run.py out/hidden -o out/hidden-said \
+	  && python tools/hidden/score.py out/hidden out/hidden-truth out/hidden-said
 
 clean: ## remove the environment and everything that was built
 	rm -rf .venv build install log out
