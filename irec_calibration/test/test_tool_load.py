@@ -98,7 +98,7 @@ def test_only_times_of_standing_still_are_averaged():
     q = np.zeros((len(t), 2))
     q[:, 0] = np.interp(t, [0, 3, 5, 10], [0.0, 0.0, 0.8, 0.8])
     w = np.zeros((len(t), 6))
-    w[:, 0] = np.where(t < 3, 1.0, np.where(t > 5, 2.0, 99.0))
+    w[:, 0] = np.where(t < 3.005, 1.0, np.where(t > 4.995, 2.0, 99.0))
     found = standing(t, q, t, w)
     np.testing.assert_allclose(found.readings[:, 0], [1.0, 2.0])
     np.testing.assert_allclose(found.q[:, 0], [0.0, 0.8], atol=1e-3)
