@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Procedure and calibration as processes against the simulated cell, asked as an operator would."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
+pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`")
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from irec_calibration.cell import read_cell
+from irec_calibration.poses.plan import make_plan, pose_list
+from irec_calibration.poses.store import write_poses
+from irec_calibration.recording import BagReader
+from irec_calibration.session import read_session
+from rclpy.action import ActionClient
+from std_srvs.srv import Trigger
+
+from irec_msgs.action import RunProcedure
+from irec_msgs.msg import RobotState
+from irec_msgs.srv import Recalibrate, SolveCompliances
+
+if TYPE_CHECKING:
+    Start = Callable[..., subprocess.Popen[bytes]]
+
+pytestmark = pytest.mark.ros
+CELL = Path(__file__).parents[2] / "config" / "cells" / "afp.yaml"
+PATIENCE = 120.0  # s of the machine's clock
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+
+
+def node(module: str, **parameters: object) -> list[str]:
+    settings = [text for name, value in parameters.items() for text in ("-p", f"{name}:={value}")]
+    return [sys.executable, "-m", module, "--ros-args", *settings]
+
+
+class Operator:
+    """Asks for runs and services, and looks at the robot."""
+
+    def __init__(self) -> None:
+        self.node = rclpy.create_node("operator")
+        self.action = ActionClient(self.node, RunProcedure, "irec/run_procedure")
+        self.feedback: list[RunProcedure.Feedback] = []
+        self.robot: RobotState | None = None
+        self.p_tcp = np.full(3, np.nan)
+        self.node.create_subscription(RobotState, "robot/state", self._on_state, 10)
+        self.node.create_subscription(PoseStamped, "tcp_pose", self._on_tcp, 1)
+
+    def _on_state(self, message: RobotState) -> None:
+        self.robot = message
+
+    def _on_tcp(self, message: PoseStamped) -> None:
+        p = message.pose.position
+        self.p_tcp = np.array([p.x, p.y, p.z])
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            if time.monotonic() > deadline:
+                pytest.fail(f"not within {PATIENCE:.0f} s; last feedback: {self.feedback[-1:]}")
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+    def start(self, **goal: Any) -> Any:
+        """Handle of an accepted run."""
+        self.until(self.action.server_is_ready)
+        self.feedback.clear()
+        future = self.action.send_goal_async(
+            RunProcedure.Goal(**goal), feedback_callback=lambda m: self.feedback.append(m.feedback)
+        )
+        self.until(future.done)
+        return future.result()
+
+    def end(self, handle: Any) -> Any:
+        """Status and result of a run."""
+        future = handle.get_result_async()
+        self.until(future.done)
+        return future.result()
+
+    def in_state(self, state: str, pose: int = 1) -> None:
+        self.until(lambda: any(f.state == state and f.pose == pose for f in self.feedback))
+
+    def call(self, kind: Any, name: str, **request: Any) -> Any:
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(kind.Request(**request))
+        self.until(future.done)
+        return future.result()
+
+
+@pytest.fixture
+def operator(ros_domain: int, start_process: Start, tmp_path: Path) -> Iterator[Operator]:
+    start_process(node("irec_sim.nodes.cell_node", cell=CELL, speed_factor=8.0, max_lead=0.1), name="cell")
+    procedure = node("irec_calibration.nodes.procedure_node", cell=CELL, session_folder=tmp_path, use_sim_time="true")
+    start_process(procedure, name="procedure")
+    rclpy.init()
+    operator = Operator()
+    operator.until(lambda: operator.robot is not None)
+    yield operator
+    operator.node.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.fixture(scope="module")
+def poses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    cell = read_cell(CELL)
+    plan = make_plan(cell, 2, pool_size=40)
+    return write_poses(pose_list(cell, plan), tmp_path_factory.mktemp("plan") / "poses.yaml")
+
+
+def is_retracted(operator: Operator, poses: Path) -> bool:
+    """Position control, and the TCP well away from both contact points."""
+    from irec_calibration.poses.store import read_poses
+
+    for _ in range(20):  # let the newest readings in
+        rclpy.spin_once(operator.node, timeout_sec=0.02)
+    away = min(np.linalg.norm(operator.p_tcp - p.p_tool_in_base) for p in read_poses(poses).poses)
+    return operator.robot is not None and operator.robot.mode == RobotState.MODE_POSITION and away > 0.1
+
+
+def test_a_run_through_the_nodes_gives_a_session_that_can_be_solved(
+    operator: Operator, poses: Path, tmp_path: Path, start_process: Start
+) -> None:
+    start_process(node("irec_calibration.nodes.calibration_node", cell=CELL, calibration_folder=tmp_path / "cal"), "calibration")
+    end = operator.end(operator.start(poses_path=str(poses), session_path=str(tmp_path / "s.mcap")))
+    assert end.status == SUCCEEDED and end.result.poses_recorded == 2, end.result.message
+    assert is_retracted(operator, poses)
+    assert {f.pose for f in operator.feedback} == {1, 2} and operator.feedback[0].poses == 2
+    session = read_session(tmp_path / "s.mcap")
+    cell = read_cell(CELL)
+    assert len(session) == 12 and session.marker_seen.all()
+    for row in np.flatnonzero(session.load_case):
+        np.testing.assert_allclose(session.force_in_tool[row], cell.forces_in_tool[session.load_case[row] - 1], atol=16.0)
+    np.testing.assert_allclose(session.p_tcp_in_base, session.robot.kinematics(session.q).p_tcp, atol=1e-5)
+    bag = BagReader(tmp_path / "s.mcap")
+    topics = {m.topic.name for m in bag.messages()}
+    assert {"/wrench", "/wrench_raw", "/joint_states", "/tracker/point", "/tcp_pose", "/temperature/ambient"} <= topics
+    assert {"session.yaml", "robot.urdf", "cell.yaml", "parameters.json", "versions.json"} <= bag.attachments.keys()
+
+    solved = operator.call(SolveCompliances, "irec/solve", session_path=str(tmp_path / "s.mcap"), effects=["joint_torsion"])
+    assert solved.success, solved.message
+    assert Path(solved.model_path).is_file()
+    assert solved.residual_rms < 2e-4
+    refused = operator.call(SolveCompliances, "irec/solve", session_path=str(tmp_path / "none.mcap"))
+    assert not refused.success and "no such file" in refused.message
+
+    short = operator.call(Recalibrate, "irec/recalibrate", operator_name="M. Muster", poses_path=str(poses))
+    assert short.success and not short.activated, short.verdict
+    assert "FAILED: 2 poses were measured (at least 12)" in short.verdict
+    assert math.isnan(short.held_out_rms_old)
+    assert not list((tmp_path / "cal").glob(f"{cell.serial}.yaml"))
+
+
+def test_a_cancelled_run_ends_retracted_and_goes_on_after_a_restart_without_measuring_again(
+    operator: Operator, poses: Path, tmp_path: Path
+) -> None:
+    goal = {"poses_path": str(poses), "session_path": str(tmp_path / "s.mcap")}
+    handle = operator.start(**goal)
+    operator.in_state("establish", pose=2)
+    handle.cancel_goal_async()
+    end = operator.end(handle)
+    assert end.status == CANCELED and end.result.poses_recorded == 1, end.result.message
+    assert is_retracted(operator, poses)
+    again = operator.end(operator.start(**goal))
+    assert again.status == ABORTED and "exists already" in again.result.message
+    end = operator.end(operator.start(**goal, resume=True))
+    assert end.status == SUCCEEDED and end.result.poses_recorded == 2, end.result.message
+    session = read_session(tmp_path / "s.mcap")
+    assert len(session) == 12
+    assert session.stamp[session.pose == 2].min() > session.stamp[session.pose == 1].max()
+
+
+def test_a_paused_run_leaves_the_contact_and_ends_complete(operator: Operator, poses: Path, tmp_path: Path) -> None:
+    handle = operator.start(poses_path=str(poses), session_path=str(tmp_path / "s.mcap"))
+    operator.in_state("establish")
+    assert operator.call(Trigger, "irec/procedure/pause").success
+    operator.in_state("paused")
+    assert is_retracted(operator, poses)
+    assert operator.call(Trigger, "irec/procedure/resume").success
+    end = operator.end(handle)
+    assert end.status == SUCCEEDED and end.result.poses_recorded == 2, end.result.message
+    assert len(read_session(tmp_path / "s.mcap")) == 12
+    assert not operator.call(Trigger, "irec/procedure/pause").success
+
+
+@pytest.mark.parametrize(
+    ("module", "parameters", "message"),
+    [
+        ("procedure_node", {}, "parameter 'cell' is empty"),
+        ("procedure_node", {"cell": "/nowhere/cell.yaml"}, "can't read the cell file"),
+        ("calibration_node", {"cell": "/nowhere/cell.yaml"}, "can't read the cell file"),
+    ],
+)
+def test_a_node_with_a_bad_parameter_refuses_to_start_and_says_why(
+    ros_domain: int, module: str, parameters: dict[str, str], message: str
+) -> None:
+    done = subprocess.run(
+        node(f"irec_calibration.nodes.{module}", **parameters), capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
+    assert done.returncode == 2
+    assert message in done.stderr and "Traceback" not in done.stderr
