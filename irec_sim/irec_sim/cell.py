@@ -337,8 +337,8 @@ class Cell:
         reading: tuple[str, Array] | None = None
         if index is not None and not self._noise.drop_outs[index].silent(self.time):
             name, p_station, R_station = self.cell.stations[index]
-            shifted, ambient = np.array([self.time >= self._sensing.shift_time]), np.array([self._ambient(self.time)])
-            clean = tracker_reading(self._sensing, marker[None], index, p_station, R_station, shifted, ambient)[0]
+            shifted = np.array([self.time >= self._sensing.shift_time])
+            clean = tracker_reading(self._sensing, marker[None], index, p_station, R_station, shifted)[0]
             noise = self.cell.noise
             sigma = math.hypot(noise["tracker_m"], noise["tracker_m_per_m"] * float(np.linalg.norm(clean)))
             reading = name, clean + self._noise.tracker(index, self.time, sigma)

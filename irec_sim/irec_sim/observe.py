@@ -134,7 +134,7 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
         for s, (_, p_station, R_station) in enumerate(cell.stations):
             by = schedule.station == s
             in_cell = p_marker[by] + base_in_cell[by]
-            measured[by] = tracker_reading(sensing, in_cell, s, p_station, R_station, shifted[by, j], schedule.ambient[by, j])
+            measured[by] = tracker_reading(sensing, in_cell, s, p_station, R_station, shifted[by, j])
             distance[by] = np.linalg.norm(in_cell - p_station, axis=1)
         collected["q"].append(q)
         collected["controller"].append(controller.p_tcp)

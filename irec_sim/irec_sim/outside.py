@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .truth_catalogue import TruthEffect, direction, plant_effect, sensing_effect
+from .truth_catalogue import TruthEffect, direction, plant_effect
 
 
 def _pair(rng: np.random.Generator) -> tuple[int, int]:
@@ -30,26 +30,28 @@ OUTSIDE: dict[str, TruthEffect] = {
         lambda rng: dict(zip(("joint", "angle_of"), _pair(rng), strict=True)) | {"share": 0.3},
         lambda plant, p, s: {"neighbour": plant.neighbour + _neighbour(6, p["joint"], p["angle_of"], s * p["share"])},
     ),
-    # a sensor or coupling plate that bulges: deflection with the square of the force
-    "membrane": plant_effect(
-        lambda rng: {"per_newton_squared": list(rng.uniform(0.5, 1.5, 3) * np.array([1e-9, 1e-9, 3e-11]))},
-        lambda plant, p, s: {"membrane": s * np.array(p["per_newton_squared"])},
+    # the tool slides up its taper under a side load, whichever side it comes from
+    "taper": plant_effect(
+        lambda rng: {"per_newton_squared": float(rng.choice([-1, 1]) * 5e-10)},
+        lambda plant, p, s: {"taper": s * p["per_newton_squared"]},
     ),
-    # light bends in air that is warmer above: grows with the square of the distance and with ambient temperature
-    "refraction": sensing_effect(
-        lambda rng: {"coefficient": float(rng.choice([-1, 1]) * 5e-6)}, lambda sensing, p, s: {"refraction": s * p["coefficient"]}
+    # two gears in one housing that deform each other: the angle goes with the product of their torques
+    "torque_product": plant_effect(
+        lambda rng: (
+            dict(zip(("joint", "torque_of"), _pair(rng), strict=True)) | {"per_square": float(rng.choice([-1, 1]) * 2e-10)}
+        ),
+        lambda plant, p, s: {
+            "torque_product": plant.torque_product + _neighbour(6, p["joint"], p["torque_of"], s * p["per_square"])
+        },
     ),
     # the disc does not bear at its centre: the process force acts beside the TCP
     "contact_offset": plant_effect(
-        lambda rng: {"offset": list(0.01 * np.array([1, 1, 0]) * direction(rng))},
+        lambda rng: {"offset": list(0.02 * np.array([1, 1, 0]) * direction(rng))},
         lambda plant, p, s: {"contact_offset": s * np.array(p["offset"])},
     ),
-    # bolts of the tool's flange give way under pressure: rocking compliance grows with the normal force
+    # bolts of the tool's flange that have lost their preload: it rocks to one side more easily than to the other
     "flange_gap": plant_effect(
-        lambda rng: {"rocking": list(rng.uniform(0.7, 1.3, 2) * 1e-7), "per_newton": 2e-3},
-        lambda plant, p, s: {
-            "tool": plant.tool + np.array([0, 0, 0, *(s * np.array(p["rocking"])), 0]),
-            "flange_gap": p["per_newton"],
-        },
+        lambda rng: {"opening": list(rng.uniform(0.7, 1.3, 2) * 2e-6)},
+        lambda plant, p, s: {"flange_gap": s * np.array(p["opening"])},
     ),
 }

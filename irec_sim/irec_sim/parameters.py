@@ -60,8 +60,9 @@ class PlantParameters:
         joint_zero: true minus nominal joint angle, (n,), rad; p_error, turn_error: of each joint's frame, (n, 3), m, rad.
         gear_heat: relative change of axial compliance per kelvin of that gear above 25 degC, (n,), 1/K.
         neighbour: relative change of axial compliance of joint k with sin(2 q_l), (n, n).
-        membrane: deflection of the tool's mount that grows with the square of the force, (3,), m/N^2.
-        flange_gap: relative change of the mount's rocking compliance per newton along the tool's axis, 1/N.
+        taper: way that the tool's taper slides along its axis per square of the side load, m/N^2.
+        flange_gap: further rocking compliance of the tool's mount about x, y for moments that open it, (2,), rad/(N m).
+        torque_product: angle of joint k per product of its torque and that of joint l, (n, n), rad/(N m)^2.
         contact_offset: point where the process force acts, in tool0, (3,), m.
     """
 
@@ -90,6 +91,7 @@ class PlantParameters:
     turn_error: Array = field(default_factory=lambda: _zeros(6, 3))
     gear_heat: Array = field(default_factory=lambda: _zeros(6))
     neighbour: Array = field(default_factory=lambda: _zeros(6, 6))
-    membrane: Array = field(default_factory=lambda: _zeros(3))
-    flange_gap: float = 0.0
+    taper: float = 0.0
+    flange_gap: Array = field(default_factory=lambda: _zeros(2))
+    torque_product: Array = field(default_factory=lambda: _zeros(6, 6))
     contact_offset: Array = field(default_factory=lambda: _zeros(3))

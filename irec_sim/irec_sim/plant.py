@@ -88,7 +88,7 @@ class Plant:
         self.chain, self.parameters = chain, parameters
         par, n = parameters, chain.n
         self.has_base = bool(np.any(par.base) or np.any(par.rail))
-        self.has_tool = bool(np.any(par.tool) or np.any(par.membrane))
+        self.has_tool = bool(np.any(par.tool) or par.taper or np.any(par.flange_gap))
         b = 3 if self.has_base else 0
         eye = np.eye(3)
         fixed = [eye] * b
@@ -131,10 +131,14 @@ class Plant:
         self._play = par.friction[:, None] * par.axial[:, None] / len(_PLAY_LEVELS) * np.ones(len(_PLAY_LEVELS))
         self._slip = par.friction_torque[:, None] * _PLAY_LEVELS
         self._has = {
-            "friction": bool(np.any(par.friction)), "creep": bool(np.any(par.creep)), "backlash": bool(np.any(par.backlash)),
-            "soft": bool(np.any(par.soft_zone)), "coupling": bool(np.any(par.coupling)), "membrane": bool(np.any(par.membrane)),
+            "friction": bool(np.any(par.friction)),
+            "creep": bool(np.any(par.creep)),
+            "backlash": bool(np.any(par.backlash)),
+            "soft": bool(np.any(par.soft_zone)),
+            "coupling": bool(np.any(par.coupling)),
+            "product": bool(np.any(par.torque_product)),
             "cable": bool(np.any(par.cable_in_base) or np.any(par.cable_in_tool) or np.any(par.cable_wrist)),
-        }  # fmt: skip
+        }
 
     @property
     def creeps(self) -> bool:
@@ -251,15 +255,17 @@ class Plant:
         if has["coupling"]:
             coupled = axial @ par.coupling
             extra = coupled if extra is None else extra + coupled
+        if has["product"]:
+            product = axial * (axial @ par.torque_product.T)
+            extra = product if extra is None else extra + product
         if has["creep"]:
             extra = delayed if extra is None else extra + delayed
         if extra is not None:
             e[:, self.axial] += extra
         if self.has_tool:
-            if has["membrane"]:
-                e[:, -6:-3] += par.membrane * torque[:, -6:-3] * np.abs(torque[:, -6:-3])
-            if par.flange_gap:
-                e[:, -3:-1] *= 1.0 + par.flange_gap * np.abs(torque[:, -4:-3])
+            side = torque[:, -6:-4]
+            e[:, -4] += par.taper * (side * side).sum(axis=1)
+            e[:, -3:-1] += par.flange_gap * np.maximum(torque[:, -3:-1], 0.0)
         return e
 
     # -- equilibrium ------------------------------------------------------------------------------------------------

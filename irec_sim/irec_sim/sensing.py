@@ -13,7 +13,7 @@ import numpy as np
 
 from .kinematics import Array, rotation, rotation_of_vector
 
-AMBIENT = 22.0  # degC, at which drift and refraction are zero
+AMBIENT = 22.0  # degC, at which drift is zero
 
 
 def _zeros(*shape: int) -> Array:
@@ -37,7 +37,6 @@ class SensingParameters:
         marker_error: true minus stated marker position in tool0, (3,), m.
         encoder_sin, encoder_cos: true minus reported joint angle, per sin(h q), cos(h q), h = 1, 2; (2, n), rad.
         settle: share of the step from the previous row that the arm is further than reported, (n,).
-        refraction: apparent displacement across the line of sight per kelvin of ambient change and m^2, 1/(m K).
     """
 
     sensor_matrix: Array = field(default_factory=lambda: _zeros(3, 3))
@@ -56,7 +55,6 @@ class SensingParameters:
     encoder_sin: Array = field(default_factory=lambda: _zeros(2, 6))
     encoder_cos: Array = field(default_factory=lambda: _zeros(2, 6))
     settle: Array = field(default_factory=lambda: _zeros(6))
-    refraction: float = 0.0
 
 
 def force_reading(par: SensingParameters, sensor_axis: Array, force_in_tool: Array, R_tool_in_base: Array) -> Array:
@@ -86,22 +84,19 @@ def drift_at(par: SensingParameters, stamp: Array, ambient: Array) -> Array:
 
 
 def tracker_reading(
-    par: SensingParameters, p_in_cell: Array, station: int, p_station: Array, R_station: Array, shifted: Array, ambient: Array
+    par: SensingParameters, p_in_cell: Array, station: int, p_station: Array, R_station: Array, shifted: Array
 ) -> Array:
     """Marker in the frame of a station without noise, (n, 3), m.
 
     Args:
         p_in_cell: true marker, in the cell frame, (n, 3).
         station: index; p_station, R_station: its stated pose in the cell frame.
-        shifted: rows after the station was bumped, (n,) bool; ambient: temperature, degC, (n,).
+        shifted: rows after the station was bumped, (n,) bool.
     """
     p = p_in_cell
     if station == par.shift_station:
         p = p - par.station_shift * shifted[:, None]
     away = p - p_station
-    if par.refraction:
-        up = np.array([0.0, 0.0, 1.0])
-        away = away + par.refraction * (away**2).sum(axis=1)[:, None] * (ambient - AMBIENT)[:, None] * up
     turn = par.station_turn[min(station, len(par.station_turn) - 1)]
     R_true = R_station @ rotation_of_vector(turn)
     return (1.0 + par.tracker_scale) * away @ R_true

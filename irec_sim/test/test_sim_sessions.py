@@ -216,11 +216,11 @@ def test_an_existing_folder_is_not_overwritten(tmp_path, capsys):
 
 
 def test_a_blind_matrix_keeps_names_opaque_and_the_truth_apart(tmp_path):
-    cases = [Case("clean", (), 0.0), Case("single", ("tool_compliance",), 0.08), Case("outside", ("membrane",), 0.15)]
+    cases = [Case("clean", (), 0.0), Case("single", ("tool_compliance",), 0.08), Case("outside", ("taper",), 0.15)]
     truth = write_matrix(tmp_path / "m", 4, cases, poses=4, validation_poses=3)
     with open(truth / "matrix.csv", encoding="utf-8") as f:
         rows = list(csv.DictReader(f))
-    assert sorted(r["effects"] for r in rows) == ["", "membrane", "tool_compliance"]
+    assert sorted(r["effects"] for r in rows) == ["", "taper", "tool_compliance"]
     for row in rows:
         for part in ("sessions", "validation"):
             header = yaml.safe_load((tmp_path / "m" / part / row["name"] / "session.yaml").read_text())
