@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from demo_parts.domain import free_domain
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
 from irec_calibration.model_file import load_model
@@ -51,7 +52,7 @@ def main() -> int:
 
 def guarded(args: argparse.Namespace, run: Callable[[argparse.Namespace], None]) -> int:
     """Run a demo on a ROS domain of its own; one line for what went wrong and exit code 2, 130 where it was cancelled."""
-    os.environ["ROS_DOMAIN_ID"] = str(10 + os.getpid() % 50)  # before the first ROS import: nobody else's topics
+    os.environ["ROS_DOMAIN_ID"] = str(free_domain())  # before the first ROS import: nobody else's topics
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     from demo_parts.operator import AskedInVain
     from demo_parts.processes import NodeEnded
