@@ -13,15 +13,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from . import __version__
+from .absolute import base_terms, completed, held_geometry, noted, outlying
 from .bounded import solve_bounded_gram
 from .effects import Parameter, absent
 from .errors import Cancelled, SolveError
-from .model import Combination, Envelope, Estimate, Model, Term, elastic_response, regressors, total_displacement
+from .model import (
+    EIGHTEEN_DOF,
+    Combination,
+    Envelope,
+    Estimate,
+    Model,
+    Term,
+    blank_model,
+    elastic_response,
+    regressors,
+    total_displacement,
+)
 from .observe import Observation, observe
 from .session.data import Session
-from .typing import Array, BoolArray
+from .typing import Array, BoolArray, Json
 
 STRUCTURAL_TOLERANCE = 1e-7  # singular value relative to the largest below which a direction is not observed at all
 INVISIBLE = 1e-3  # standard deviations that all samples together see of a parameter of typical size; below: not visible
@@ -29,6 +42,10 @@ RIDGE = 1e-10  # relative to the largest diagonal entry: makes the solution uniq
 MAX_ITERATIONS = 8
 CONVERGED = 1e-6  # of the parameter scale
 FOLDS = 10
+GUESSED = (
+    "the link masses of the robot description are guesses: of each compliance only its product with the masses that load it is known;"
+    " deflection under gravity is what was measured, deflection under a process force is not to be predicted from it"
+)
 
 
 @dataclass(frozen=True)
@@ -41,6 +58,8 @@ class System:
         scale: physical value of one scaled unit, (p,).
         parameters: (p,), in order of the terms; owner: index of the term of each.
         lower, upper: bounds in scaled units, (p,).
+        centre: value of each scaled parameter from which x counts, (p,): the present one where nothing but the session says
+            anything about it (`Parameter.flat`), else 0.
         pose: pose number of each equation, (3m,).
     """
 
@@ -51,6 +70,7 @@ class System:
     owner: tuple[int, ...]
     lower: Array
     upper: Array
+    centre: Array
     pose: Array
 
 
@@ -79,12 +99,15 @@ class Fit:
 
 
 def linearise(terms: Sequence[Term], observation: Observation) -> System:
-    """The observation system of the terms about their values, without parameters that enter by a grid (held fixed)."""
+    """The observation system of the terms about their values, without parameters that enter by a grid (held fixed).
+
+    A term that names some of its effect's parameters has only those; the others are held where they start.
+    """
     scene = observation.scene
     blocks, parameters, owner, values = [], [], [], []
     for i, (term, block) in enumerate(zip(terms, regressors(terms, scene), strict=True)):
         own = term.effect.parameters(scene)
-        free = [j for j, p in enumerate(own) if not p.grid]
+        free = term.free(own)
         blocks.append(block[:, :, free])
         parameters += [own[j] for j in free]
         owner += [i] * len(free)
@@ -96,14 +119,16 @@ def linearise(terms: Sequence[Term], observation: Observation) -> System:
     A = observation.whiten(A_rows).reshape(-1, len(parameters))
     residual = observation.whiten(observation.y - observation.of(total_displacement(terms, scene))).ravel()
     x = np.array(values) / scale
+    centre = np.where([p.flat for p in parameters], x, 0.0)
     return System(
         A=A,
-        b=residual + A @ x,
+        b=residual + A @ (x - centre),
         scale=scale,
         parameters=tuple(parameters),
         owner=tuple(owner),
-        lower=np.array([p.lower for p in parameters]) / scale,
-        upper=np.array([p.upper for p in parameters]) / scale,
+        lower=np.array([p.lower for p in parameters]) / scale - centre,
+        upper=np.array([p.upper for p in parameters]) / scale - centre,
+        centre=centre,
         pose=np.repeat(observation.pose, 3),
     )
 
@@ -124,13 +149,14 @@ def solve(system: System, rows: BoolArray | None = None, prior_width: Array | No
 
 
 def with_values(terms: Sequence[Term], system: System, x: Array) -> tuple[Term, ...]:
-    """The terms with the scaled values x; parameters that are not part of the system keep theirs."""
+    """The terms with the scaled values x (counted from the system's centre); parameters that are not part of the system keep theirs."""
     out = []
     for i, term in enumerate(terms):
         estimates = dict(term.estimates)
         for j, (owner, p) in enumerate(zip(system.owner, system.parameters, strict=True)):
             if owner == i:
-                estimates[p.name] = Estimate(float(x[j] * system.scale[j]), unit=p.unit, lower=p.lower, upper=p.upper)
+                value = float((x[j] + system.centre[j]) * system.scale[j])
+                estimates[p.name] = Estimate(value, unit=p.unit, lower=p.lower, upper=p.upper)
         out.append(replace(term, estimates=estimates))
     return tuple(out)
 
@@ -154,7 +180,7 @@ def fit(
         SolveError: fewer equations than needed, or an effect of the model can't act on this session.
         Cancelled: as asked for.
     """
-    terms = tuple(_with_starts(t, observation) for t in terms)
+    terms = tuple(_with_starts(t, observation) for t in completed(terms, observation))
     x_last: Array | None = None
     for _ in range(MAX_ITERATIONS):
         if callable(cancelled) and cancelled():
@@ -162,9 +188,10 @@ def fit(
         system = linearise(terms, observation)
         x = solve(system, prior_width=prior_width)
         terms = with_values(terms, system, x)
-        if x_last is not None and np.abs(x - x_last).max() < CONVERGED * (1.0 + np.abs(x).max()):
+        at = x + system.centre
+        if x_last is not None and np.abs(at - x_last).max() < CONVERGED * (1.0 + np.abs(x).max()):
             break
-        x_last = x
+        x_last = at
         if not any(t.effect.acts_on == "wrench" or t.effect.needs_elastic or _nonlinear(t, observation) for t in terms):
             break
     return _describe(terms, observation)
@@ -182,9 +209,10 @@ def _with_starts(term: Term, observation: Observation) -> Term:
     why = absent(observation.scene, term.effect.needs)
     if why:
         raise SolveError(f"effect '{term.effect.id}' can't be identified from {observation.session.name}: {why}")
+    own = term.effect.parameters(observation.scene)
+    named = [p for p in own if p.name in term.estimates] or own
     estimates = {
-        p.name: term.estimates.get(p.name, Estimate(p.start, unit=p.unit, lower=p.lower, upper=p.upper))
-        for p in term.effect.parameters(observation.scene)
+        p.name: term.estimates.get(p.name, Estimate(p.start, unit=p.unit, lower=p.lower, upper=p.upper)) for p in named
     }
     return replace(term, estimates=estimates)
 
@@ -204,11 +232,13 @@ def _describe(terms: tuple[Term, ...], observation: Observation) -> Fit:
     variance[seen] = ((known.T / s[:rank]) ** 2).sum(axis=1) / norm[seen] ** 2
     loss[seen] = np.sqrt((hidden**2).sum(axis=0)) if len(hidden) else 0.0
     single = seen & (loss < 1e-3)
-    se = np.where(single, np.sqrt(variance) * system.scale, np.nan)
+    # an absolute session's residual holds what the robot does besides: errors that only the data sheet backs would be too small
+    excess = max(1.0, np.sqrt(chi2 / max(residual.size - rank, 1))) if observation.session.kind == "absolute" else 1.0
+    se = np.where(single, excess * np.sqrt(variance) * system.scale, np.nan)
     terms = _with_errors(terms, system, se, single)
     values = np.array([terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)])
     to_physical = system.scale[seen] / norm[seen]
-    covariance = (known.T / s[:rank] ** 2) @ known * np.outer(to_physical, to_physical)
+    covariance = excess**2 * (known.T / s[:rank] ** 2) @ known * np.outer(to_physical, to_physical)
     combinations = _combinations(hidden * to_physical, loss[seen], np.array(names)[seen], values[seen], covariance)
     rms = float(np.sqrt((residual**2).sum(axis=1).mean()))
     condition = float(s[0] / s[rank - 1]) if rank else np.inf
@@ -264,12 +294,57 @@ def _combinations(hidden: Array, loss: Array, names: Array, values: Array, covar
 
 
 def observe_with_force_noise(session: Session, terms: Sequence[Term]) -> Observation:
-    """The observation of a session with the force sensor's noise carried through a first fit of the terms' springs."""
+    """The observation of a session with the force sensor's noise carried through a first fit of the terms' springs.
+
+    Of an absolute session rows that no model of this robot comes near are left out, with a note on the session.
+    """
     first = observe(session)
+    if session.kind == "absolute":
+        return without_outliers(first, terms)
     if session.noise.force_n <= 0.0 or not any(t.effect.elastic for t in terms):
         return first
     springs = fit([t for t in terms if t.effect.elastic], first).terms
     return observe(session, elastic_response(springs, first.scene).compliance[:, :, :3])
+
+
+def without_outliers(observation: Observation, terms: Sequence[Term]) -> Observation:
+    """An observation without rows that stand out from a fit of the terms, with a note that names their poses."""
+    kept = np.ones(len(observation.rows), dtype=bool)
+    for _ in range(3):
+        fitted = fit(terms, observation.only(kept))
+        residual = observation.y - observation.of(total_displacement(fitted.terms, observation.scene))
+        out = outlying(residual)
+        if (out == ~kept).all():
+            break
+        kept = ~out
+    if kept.all():
+        return observation
+    named = ", ".join(map(str, observation.pose[~kept][:10].tolist())) + (", .." if (~kept).sum() > 10 else "")
+    note = (
+        f"{(~kept).sum()} of {len(kept)} rows are outliers (residual {1e3 * np.linalg.norm(residual[~kept], axis=1).min():.2f} mm or more,"
+        f" median {1e3 * np.median(np.linalg.norm(residual, axis=1)):.2f} mm) and left out: pose {named}"
+    )
+    return noted(observation.only(kept), note)
+
+
+def default_terms(session: Session) -> tuple[Term, ...]:
+    """What a fit starts from where no model is named: 18 DOF, or the geometric model for an absolute session."""
+    return base_terms() if session.kind == "absolute" else blank_model(EIGHTEEN_DOF)
+
+
+def registered(terms: Sequence[Term], observation: Observation) -> tuple[Term, ...]:
+    """A model's terms with stations and markers placed for this very session and everything else as it is.
+
+    Where the instruments stand belongs to a session, not to the robot: it is fitted anew before a model is compared with one.
+    """
+    if observation.session.kind != "absolute":
+        return tuple(terms)
+    rest = [t for t in terms if not t.effect.registers]
+    placed = observation.y - observation.of(total_displacement(rest, observation.scene))
+    placing = [t for t in completed((), observation)]
+    if not placing:
+        return tuple(rest)
+    return (*fit(placing, replace(observation, y=placed)).terms, *rest)
 
 
 def pose_folds(observation: Observation, folds: int = FOLDS, seed: int = 0) -> list[BoolArray]:
@@ -280,31 +355,64 @@ def pose_folds(observation: Observation, folds: int = FOLDS, seed: int = 0) -> l
     return [np.isin(per_equation, part) for part in np.array_split(poses, min(folds, len(poses)))]
 
 
-def cross_validated_rms(terms: Sequence[Term], observation: Observation, folds: int = FOLDS) -> float:
-    """sqrt(mean |r|^2) per sample over held-out poses, m. NaN where there is only one pose.
+def held_out_residual(terms: Sequence[Term], observation: Observation, folds: int = FOLDS) -> Array:
+    """Residual of each observed row predicted from poses without its own, (m, 3), m. NaN where there is only one pose.
 
     The system is linearised once about the values given: exact for linear effects.
     """
     if len(observation.poses) < 2:
-        return float("nan")
+        return np.full((len(observation.rows), 3), np.nan)
     scene = observation.scene
     system = linearise(terms, observation)
     A = observation.of(np.concatenate([b for b in free_regressors(terms, scene)], axis=2)) * system.scale
     x_0 = np.array([terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)]) / system.scale
+    x_0 -= system.centre
     base = observation.y - observation.of(total_displacement(terms, scene))
     residual = np.empty_like(base).reshape(-1)
     for held in pose_folds(observation, folds):
         x = solve(system, ~held)
         residual[held] = (base - A @ (x - x_0)).reshape(-1)[held]
-    return float(np.sqrt((residual.reshape(-1, 3) ** 2).sum(axis=1).mean()))
+    return residual.reshape(-1, 3)
+
+
+def cross_validated_rms(terms: Sequence[Term], observation: Observation, folds: int = FOLDS) -> float:
+    """sqrt(mean |r|^2) per sample over held-out poses, m; see `held_out_residual`."""
+    return _rms(held_out_residual(terms, observation, folds))
+
+
+def _rms(residual: Array) -> float:
+    return float(np.sqrt((residual**2).sum(axis=1).mean()))
 
 
 def free_regressors(terms: Sequence[Term], scene: object) -> list[Array]:
     """Regressors of the parameters that `linearise` keeps (those without a grid), list of (n, 3, p)."""
     out = []
     for term, block in zip(terms, regressors(terms, scene), strict=True):  # type: ignore[arg-type]
-        out.append(block[:, :, [j for j, p in enumerate(term.effect.parameters(scene)) if not p.grid]])  # type: ignore[arg-type]
+        out.append(block[:, :, term.free(term.effect.parameters(scene))])  # type: ignore[arg-type]
     return out
+
+
+def instruments(result: Fit) -> Json:
+    """Where a fit has the stations and markers that were unknowns of the session, for the model's provenance."""
+    session = result.observation.session
+    value = {t.effect.id: {n: e.value for n, e in t.estimates.items()} for t in result.terms if t.effect.registers}
+    out: Json = {}
+    for s in session.stations if "station_pose" in value else ():
+        if not s.known:
+            d, w = (np.array([value["station_pose"][f"{p}{a}_{s.name}"] for a in "xyz"]) for p in ("", "w_"))
+            turned = Rotation.from_rotvec(w) * Rotation.from_quat(s.quat_xyzw)
+            pose = {"xyz": (np.array(s.xyz) + d).tolist(), "quat_xyzw": turned.as_quat().tolist()}
+            out.setdefault("stations_in_base_link", {})[s.name] = pose
+    for m in session.markers if "marker_position" in value else ():
+        if not m.known:
+            d = np.array([value["marker_position"][f"{a}_{m.name}"] for a in "xyz"])
+            out.setdefault(f"markers_in_{m.link}", {})[m.name] = (np.array(m.xyz) + d).tolist()
+    return out
+
+
+def _rests_on_guesses(result: Fit) -> bool:
+    session = result.observation.session
+    return session.kind == "absolute" and session.inertials == "guess" and any(t.effect.elastic for t in result.terms)
 
 
 def model_of(result: Fit, *, cv_rms: float | None = None, parent: str = "") -> Model:
@@ -312,6 +420,8 @@ def model_of(result: Fit, *, cv_rms: float | None = None, parent: str = "") -> M
     session = result.observation.session
     force = np.linalg.norm(session.force_in_tool, axis=1)
     torque = np.linalg.norm(session.torque_in_tool, axis=1)
+    held = held_geometry(result.terms, result.observation)
+    held_out = held_out_residual(result.terms, result.observation) if cv_rms is None else None
     return Model(
         terms=result.terms,
         serial=session.serial,
@@ -327,10 +437,15 @@ def model_of(result: Fit, *, cv_rms: float | None = None, parent: str = "") -> M
             "solver": "bounded weighted least squares, Gauss-Newton",
             "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             **({"parent": parent} if parent else {}),
+            **instruments(result),
+            **({"held_at_zero": [f"geometry_error.{n}" for n in held]} if held else {}),
+            **({"caution": GUESSED} if _rests_on_guesses(result) else {}),
         },
         figures={
             "fit_rms_m": result.rms,
-            "cv_rms_m": cross_validated_rms(result.terms, result.observation) if cv_rms is None else cv_rms,
+            "fit_mean_m": float(np.linalg.norm(result.residual, axis=1).mean()),
+            "cv_rms_m": float(cv_rms) if held_out is None else _rms(held_out),  # type: ignore[arg-type]
+            **({} if held_out is None else {"cv_mean_m": float(np.linalg.norm(held_out, axis=1).mean())}),
             "noise_floor_m": result.observation.whiten.floor,
             "rank": result.rank,
             "condition": result.condition,

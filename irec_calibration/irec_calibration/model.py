@@ -15,6 +15,7 @@ from .typing import Array, Json
 
 SIX_DOF = ("joint_torsion",)
 EIGHTEEN_DOF = ("joint_torsion", "link_bending")
+GEOMETRIC = ("station_pose", "marker_position", "geometry_error")  # where absolute sessions start from
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,11 @@ class Term:
     def theta(self, parameters: Iterable[Parameter]) -> Array:
         """Values in the order of `parameters`; the start value where the model does not name one, (p,)."""
         return np.array([self.estimates[p.name].value if p.name in self.estimates else p.start for p in parameters])
+
+    def free(self, parameters: Sequence[Parameter]) -> list[int]:
+        """Indices of the parameters that a fit may change: those that the term names (all where it names none), without a grid."""
+        named = {p.name for p in parameters} & set(self.estimates)
+        return [i for i, p in enumerate(parameters) if not p.grid and (not named or p.name in named)]
 
 
 @dataclass(frozen=True)

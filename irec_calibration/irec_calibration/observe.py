@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .errors import SolveError
 from .noise import Whitening, position_sigma
+from .registration import registered
 from .scene import Scene, marker_by_controller, scene_of
 from .session.data import Session
-from .typing import Array, IntArray
+from .typing import Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,7 @@ class Observation:
     """Measured displacements of a session; m observed rows.
 
     Attributes:
+        session: with stations and markers placed, where their poses are unknowns.
         scene: all n rows of the session, observing the marker.
         rows: indices of the observed rows, (m,).
         y: measured displacement of the marker relative to where the controller believes it to be, in base_link, (m, 3), m: its
@@ -39,6 +41,12 @@ class Observation:
         """Distinct observed poses, ascending."""
         return np.unique(self.pose)
 
+    def only(self, keep: BoolArray) -> Observation:
+        """Some observed rows only, (m,) mask; the scene stays whole."""
+        w = self.whiten
+        whiten = Whitening(w.sigma[keep], w.sigma_reference[keep], w.group[keep])
+        return replace(self, rows=self.rows[keep], y=self.y[keep], pose=self.pose[keep], whiten=whiten)
+
     def of(self, displacement: Array) -> Array:
         """What the observed rows see of a displacement per session row: (n, 3[, p]) -> (m, 3[, p])."""
         return self.scene.change(displacement)[self.rows]
@@ -54,6 +62,7 @@ def observe(session: Session, compliance: Array | None = None) -> Observation:
     Raises:
         SolveError: no row can be used.
     """
+    session = registered(session, session.robot.kinematics(session.q))
     scene = scene_of(session)
     R = np.stack([s.R_in_base for s in session.stations])[session.station]
     t = np.array([s.xyz for s in session.stations])[session.station]

@@ -125,6 +125,7 @@ class Robot:
         axes, self.is_prismatic = self._axes_in_joint()
         self._axis_in_joint = axes
         self._virtual_in_joint = np.stack([_orthogonal_pair(a) for a in axes])
+        self._last: tuple[object, Kinematics] = (None, None)  # type: ignore[assignment]
 
     @classmethod
     def from_urdf(cls, path: str | Path) -> Robot:
@@ -186,6 +187,9 @@ class Robot:
         q = np.atleast_2d(np.asarray(q, dtype=float))
         if q.shape[1] != self.n_joints:
             raise RobotError(f"{self.source}: {q.shape[1]} joint values given, the robot has {self.n_joints}")
+        key = (q.shape, hash(q.tobytes()))
+        if self._last[0] == key:
+            return self._last[1]
         n, k = q.shape
         origin, R_joint = np.empty((n, k, 3)), np.empty((n, k, 3, 3))
         p_tcp, R_tool = np.empty((n, 3)), np.empty((n, 3, 3))
@@ -202,7 +206,9 @@ class Robot:
         arrays = (axis, origin, R_joint, p_tcp, R_tool)
         for a in arrays:
             a.setflags(write=False)
-        return Kinematics(*arrays, self.is_prismatic, self._virtual_in_joint)
+        found = Kinematics(*arrays, self.is_prismatic, self._virtual_in_joint)
+        self._last = (key, found)  # reading, gravity and scene ask for the same rows one after the other
+        return found
 
     def gravity_torque(
         self, q: Array, gravity_in_base: Array | tuple[float, float, float] = (0.0, 0.0, -9.81), payload: Payload | None = None

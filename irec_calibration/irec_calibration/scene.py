@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from .coupled import coupling
+from .registration import level_gravity, registered
 from .robot import Kinematics, Payload, Robot
 from .session.data import Session
 from .typing import Array, BoolArray, IntArray
@@ -47,7 +49,10 @@ class Scene:
         reference: index of the row's reference row, -1 in absolute sessions; previous: of the row before in the same pose
             and repeat (loaded) or of the pose before (absolute), -1 for the first.
         measured_from_station: vector from the station to the measured marker, (n, 3), m; None in predictions.
+        modelled_from_station: vector from the station to where the controller believes the marker, (n, 3), m; None in predictions.
         sensor_axis_in_tool: mounting axis of the force sensor, (3,).
+        station_known, marker_known: False where the pose is an unknown of the session; all known where not given.
+        coupling: how passive joints follow the driven ones, dq = coupling dq_driven, (n, k, k); None where all are driven.
         elastic: what the model's elastic effects answer in these rows; only for effects with `needs_elastic`.
     """
 
@@ -80,9 +85,19 @@ class Scene:
     payload: Payload | None = None
     clock: str = "time"
     measured_from_station: Array | None = None
+    modelled_from_station: Array | None = None
     sensor_axis_in_tool: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    station_known: tuple[bool, ...] = ()
+    marker_known: tuple[bool, ...] = ()
+    coupling: Array | None = None
     elastic: ElasticResponse | None = None
     _cache: dict[str, Array] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if len(self.station_known) != len(self.stations):
+            object.__setattr__(self, "station_known", (True,) * len(self.stations))
+        if len(self.marker_known) != len(self.markers):
+            object.__setattr__(self, "marker_known", (True,) * len(self.markers))
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -99,6 +114,15 @@ class Scene:
         return int(self.q.shape[1])
 
     @property
+    def axis_in_joint(self) -> Array:
+        """Unit vector of each actuated axis in the joint's own frame, (k, 3)."""
+        return np.einsum("kji,kj->ki", self.kin.R_joint[0], self.kin.axis[0])
+
+    def followed(self, per_joint: Array) -> Array:
+        """Quantities per joint that act on coordinates, (n, ..., k), carried over to the driven joints that passive ones follow."""
+        return per_joint if self.coupling is None else np.einsum("n...k,nkl->n...l", per_joint, self.coupling)
+
+    @property
     def force(self) -> Array:
         """Force of the environment on the robot in base_link, (n, 3), N."""
         return self._once("force", lambda: np.einsum("nij,nj->ni", self.kin.R_tool, self.force_in_tool))
@@ -111,7 +135,7 @@ class Scene:
     @property
     def J(self) -> Array:
         """Translational Jacobian of the actuated axes at the observed point, (n, 3, k); 0 where it does not move."""
-        return self._once("J", lambda: self.kin.jacobian(self.p_observed) * self.moves_with_arm[:, None, None])
+        return self._once("J", lambda: self.followed(self.kin.jacobian(self.p_observed) * self.moves_with_arm[:, None, None]))
 
     @property
     def V(self) -> Array:
@@ -131,7 +155,7 @@ class Scene:
     def _actuated_torque(self) -> Array:
         from_force = np.einsum("nik,ni->nk", self.kin.jacobian(self.p_tcp), self.force)
         from_torque = np.einsum("nki,ni->nk", self.kin.axis, self.torque)
-        return from_force + np.where(self.kin.is_prismatic, 0.0, from_torque)
+        return self.followed(from_force + np.where(self.kin.is_prismatic, 0.0, from_torque))
 
     def _virtual_torque(self) -> Array:
         from_force = np.einsum("nik,ni->nk", self.kin.virtual_jacobian(self.p_tcp), self.force)
@@ -195,11 +219,14 @@ def scene_of(session: Session, *, observe: str = "marker") -> Scene:
     load_since = np.where(has_previous, session.stamp[previous], session.stamp)
     on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker]
     p_observed = marker_by_controller(session, kin) if observe == "marker" else session.p_tcp_in_base
-    from_station = None
+    from_station = modelled = None
     if observe == "marker":
         R = np.stack([s.R_in_base for s in session.stations])[session.station]
         from_station = np.einsum("nij,nj->ni", R, session.p_marker_in_station)
-    gravity = np.asarray(session.gravity_in_base, dtype=float)
+        modelled = p_observed - np.array([s.xyz for s in session.stations])[session.station]
+    gravity = _gravity(session, kin)
+    follow = coupling(session.passive, session.robot.joint_names, session.q)
+    tau_gravity = session.robot.gravity_torque(session.q, gravity, session.payload)
     driven = np.array([name not in session.passive for name in session.robot.joint_names])
     axis = session.meta.get("sensor_axis_in_tool", (0.0, 0.0, 1.0))
     return Scene(
@@ -213,7 +240,7 @@ def scene_of(session: Session, *, observe: str = "marker") -> Scene:
         moves_with_arm=on_tool if observe == "marker" else np.ones(n, dtype=bool),
         force_in_tool=session.force_in_tool,
         torque_in_tool=session.torque_in_tool,
-        tau_gravity=session.robot.gravity_torque(session.q, gravity, session.payload),
+        tau_gravity=tau_gravity if follow is None else np.einsum("nk,nkl->nl", tau_gravity, follow),
         stamp=session.stamp,
         load_since=load_since,
         pose=session.pose,
@@ -232,8 +259,21 @@ def scene_of(session: Session, *, observe: str = "marker") -> Scene:
         payload=session.payload,
         clock=session.clock,
         measured_from_station=from_station,
+        modelled_from_station=modelled,
         sensor_axis_in_tool=tuple(float(x) for x in axis),  # type: ignore[arg-type]
+        station_known=tuple(s.known or session.kind == "loaded" for s in session.stations),
+        marker_known=tuple(m.known or session.kind == "loaded" for m in session.markers),
+        coupling=follow,
     )
+
+
+def _gravity(session: Session, kin: Kinematics) -> Array:
+    """Gravity in base_link, m/s^2: as stated, else by a station that stands level."""
+    if "gravity" not in session.meta and any(s.level for s in session.stations):
+        level = level_gravity(registered(session, kin).stations)
+        if level is not None:
+            return level
+    return np.asarray(session.gravity_in_base, dtype=float)
 
 
 def marker_by_controller(session: Session, kin: Kinematics) -> Array:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`irec import SESSION -o FILE.mcap`: a session in either form to MCAP."""
+"""`irec import SESSION -o FILE.mcap`: a session in either form to MCAP; with `--profile` a foreign table to a session."""
 
 from __future__ import annotations
 
@@ -8,23 +8,32 @@ import json
 from pathlib import Path
 
 from ..errors import SessionError
-from ..session import read_session
+from ..session import Session, read_session
+from ..session.foreign import import_table
 from ..session.mcap_io import write_mcap
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("session", help="folder of a table, MCAP file or rosbag2 folder")
-    parser.add_argument("-o", "--output", required=True, help="MCAP file to write")
+    parser.add_argument("--profile", help="mapping file (irec-import/1) by which a foreign table is read")
+    parser.add_argument("--name", help="with --profile: name of the session (default: the profile's)")
+    parser.add_argument("-o", "--output", required=True, help="MCAP file to write; with --profile a folder for the table")
     parser.add_argument("--json", action="store_true", help="machine-readable summary on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
     output = Path(args.output)
+    if args.profile:
+        return _report(import_table(args.profile, args.session, output, args.name), output, args.json)
     if output.suffix != ".mcap":
         raise SessionError(f"{output}: the name of the output must end in .mcap (`irec export` writes tables)")
     session = read_session(args.session)
     write_mcap(session, output)
-    if args.json:
+    return _report(session, output, args.json)
+
+
+def _report(session: Session, output: Path, as_json: bool) -> int:
+    if as_json:
         summary = {"session": str(output), "poses": len(session.poses), "rows": len(session), "notes": list(session.notes)}
         print(json.dumps(summary))
     else:

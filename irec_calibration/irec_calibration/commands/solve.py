@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from ..identify import identify, model_of
+from ..identify import default_terms, identify, model_of
 from ..model import EIGHTEEN_DOF, SIX_DOF, Model, blank_model
 from ..model_file import save_model
 from ..session import read_session
@@ -16,15 +16,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("session", help="folder of the table, MCAP file or rosbag2 folder")
     parser.add_argument("-o", "--output", default="model.yaml", help="model file to write (default: model.yaml)")
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--dof", type=int, choices=(6, 18), default=18, help="6: joint_torsion; 18: with link_bending (default)")
-    which.add_argument("--terms", help="effect ids with commas between, instead of --dof")
+    which.add_argument("--dof", type=int, choices=(6, 18), help="6: joint_torsion; 18: with link_bending (default)")
+    which.add_argument("--terms", help="effect ids with commas between, instead of --dof (default for absolute sessions: the geometric model)")
     parser.add_argument("--json", action="store_true", help="machine-readable figures on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
     session = read_session(args.session)
-    effects = args.terms.split(",") if args.terms else (SIX_DOF if args.dof == 6 else EIGHTEEN_DOF)
-    model = model_of(identify(session, blank_model([e.strip() for e in effects])))
+    if args.terms or args.dof:
+        effects = args.terms.split(",") if args.terms else (SIX_DOF if args.dof == 6 else EIGHTEEN_DOF)
+        terms = blank_model([e.strip() for e in effects])
+    else:
+        terms = default_terms(session)
+    result = identify(session, terms)
+    session, model = result.observation.session, model_of(result)
     path = save_model(model, args.output)
     if args.json:
         print(json.dumps({"model": str(path), "effects": list(model.effects), **model.figures}))
@@ -51,5 +56,11 @@ def describe(model: Model) -> str:
         f"{f['poses']} poses, {f['samples']} samples; rank {f['rank']}; residual {1e6 * f['fit_rms_m']:.1f} um"
         f" (held-out poses {1e6 * f['cv_rms_m']:.1f} um), instrument noise {1e6 * f['noise_floor_m']:.1f} um"
     )
+    if "cv_mean_m" in f:
+        lines.append(f"mean error {1e3 * f['fit_mean_m']:.4f} mm, on held-out poses {1e3 * f['cv_mean_m']:.4f} mm")
     lines += [f"known as a sum: {c}" for c in model.combinations]
+    if "held_at_zero" in model.made:
+        lines.append(f"held at zero, since others do the same or the poses do not show them: {', '.join(model.made['held_at_zero'])}")
+    if "caution" in model.made:
+        lines.append(f"caution: {model.made['caution']}")
     return "\n".join(lines)

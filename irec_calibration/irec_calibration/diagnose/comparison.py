@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from ..identify import observe_with_force_noise
+from ..identify import observe_with_force_noise, registered
 from ..model import Term, total_displacement
 from ..observe import Observation
 from ..session.data import Session
@@ -22,10 +22,13 @@ FEWEST_REPEATS = 6
 def compare(session: Session, terms: Sequence[Term]) -> Comparison:
     """Compare a model with values, as it is, with a session; noise of tracker, reference and force propagated.
 
+    Stations and markers whose place is an unknown of the session are placed anew: they do not belong to the robot.
+
     Raises:
         SolveError: the session has no usable row.
     """
-    return compare_observed(observe_with_force_noise(session, terms), terms)
+    observation = observe_with_force_noise(session, terms)
+    return compare_observed(observation, registered(terms, observation))
 
 
 def compare_observed(observation: Observation, terms: Sequence[Term], fitted: int = 0) -> Comparison:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is known about parameters before a session is seen.
 
-Links and bearings of heavy robots are 3 to 30 times stiffer across the axes 1-3 than about them, and 1 to 5 times across the wrist's
-axes. These weak priors keep 18 free compliances from standing in for another cause; their overall level is set by the session itself.
+Links and bearings of heavy robots are 3 to 30 times stiffer across the axes 1-3 than about them, and 1 to 5 times across
+the wrist's axes. These weak priors keep 18 free compliances from standing in for another cause; their overall level is set
+by the session itself.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ WRIST_AXES = 3
 EFFECT_WIDTH = 1.0
 LEVELS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of the springs' priors, tried on each session
 FACTORS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])  # of an effect's prior width
-NOT_PART_OF_IT = 1e-5  # width that holds a parameter at zero
 
 
 def prior_width(effect_id: str, parameter: Parameter, n_joints: int) -> float:
     """Standard deviation of the prior of one parameter about 0, in units of its scale."""
+    if parameter.flat:
+        return np.inf
     if effect_id == "joint_torsion":
         return TORSION_WIDTH
     if effect_id == "link_bending":

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..absolute import completed, thinned
 from ..effects import Effect, Parameter, absent
 from ..identify import Fit, fit, linearise, observe_with_force_noise
 from ..model import Term, apply_wrench_effects, elastic_response
@@ -16,7 +17,7 @@ from ..scene import Scene
 from ..session.data import Session
 from ..typing import Array
 from .evidence import Bench, Block
-from .priors import NOT_PART_OF_IT, choices, prior_width
+from .priors import choices, prior_width
 
 
 @dataclass(frozen=True)
@@ -87,51 +88,40 @@ def prepare(session: Session, terms: Sequence[Term]) -> Study:
     Raises:
         SolveError: the session can't be used with this model.
     """
-    return study_of(observe_with_force_noise(session, terms), terms)
+    return study_of(thinned(observe_with_force_noise(session, terms)), terms)
 
 
 def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     """As `prepare`, for an observation that exists already."""
-    scene = observation.scene
-    width, named = _widths(terms, scene)
-    keep = np.flatnonzero(named)
+    scene, terms = observation.scene, completed(terms, observation)
+    width = _widths(terms, scene)
     system = linearise(fit(terms, observation, prior_width=width).terms, observation)
     owners = [terms[i].effect.id for i in system.owner]
     bench = Bench(system.b, system.pose)
-    block = Block(system.A, system.lower, system.upper, width).take(keep)
-    for rows in choices([owners[i] for i in keep]):
+    block = Block(system.A, system.lower, system.upper, width)
+    for rows in choices(owners):
         widths = block.width * rows
         block = replace(block, width=widths[int(np.argmax(bench.evidence_over_widths(block, widths)))])
-    width[keep] = block.width
+    width = block.width
     result = fit(terms, observation, prior_width=width)
-    result = replace(result, terms=tuple(_only_named(new, old) for new, old in zip(result.terms, terms, strict=True)))
     system = linearise(result.terms, observation)
     ready = apply_wrench_effects(result.terms, scene)
     ready = replace(ready, elastic=elastic_response(result.terms, ready))
     return Study(
         result,
         ready,
-        Block(system.A, system.lower, system.upper, width).take(keep),
-        tuple(owners[i] for i in keep),
-        tuple(system.parameters[i] for i in keep),
-        system.scale[keep],
+        Block(system.A, system.lower, system.upper, width),
+        tuple(owners),
+        tuple(system.parameters),
+        system.scale,
         Bench(system.b, system.pose),
     )
 
 
-def _widths(terms: Sequence[Term], scene: Scene) -> tuple[Array, Array]:
-    """Prior width of each free parameter, and whether the term has it."""
-    width, named = [], []
+def _widths(terms: Sequence[Term], scene: Scene) -> Array:
+    """Prior width of each free parameter."""
+    out = []
     for term in terms:
-        for p in term.effect.parameters(scene):
-            if p.grid:
-                continue
-            named.append(not term.estimates or p.name in term.estimates)
-            width.append(prior_width(term.effect.id, p, scene.n_joints) if named[-1] else NOT_PART_OF_IT)
-    return np.array(width), np.array(named)
-
-
-def _only_named(fitted: Term, given: Term) -> Term:
-    if not given.estimates:
-        return fitted
-    return replace(fitted, estimates={n: e for n, e in fitted.estimates.items() if n in given.estimates})
+        own = term.effect.parameters(scene)
+        out += [prior_width(term.effect.id, own[i], scene.n_joints) for i in term.free(own)]
+    return np.array(out)

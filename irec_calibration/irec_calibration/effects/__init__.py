@@ -25,9 +25,11 @@ from .joint_stiffening import JointStiffening
 from .joint_torsion import JointTorsion
 from .link_bending import LinkBending
 from .marker_offset import MarkerOffset
+from .marker_position import MarkerPosition
 from .rail_compliance import RailCompliance
 from .sensor_alignment import SensorAlignment
 from .sensor_gain import SensorGain
+from .station_pose import StationPose
 from .station_registration import StationRegistration
 from .station_shift import StationShift
 from .thermal_drift import ThermalDrift
@@ -58,6 +60,8 @@ CATALOGUE: tuple[type[Effect], ...] = (
     Creep,
     MarkerOffset,
     GeometryError,
+    StationPose,
+    MarkerPosition,
     JointSettling,
     EncoderHarmonics,
     ExternalForce,

@@ -34,6 +34,7 @@ class Parameter:
         start: value where a fit starts and where the effect is absent (nonlinear ones: a mid value).
         group: parameters that may be present on their own, e.g. `axis 3`; empty: only together with the others.
         grid: for a parameter that enters nonlinearly: values over which it is profiled. Empty: linear.
+        flat: only the session says anything about it (no prior, and a fit starts from its present value).
     """
 
     name: str
@@ -45,6 +46,7 @@ class Parameter:
     start: float = 0.0
     group: str = ""
     grid: tuple[float, ...] = ()
+    flat: bool = False
 
     @property
     def plausible_range(self) -> tuple[float, float]:
@@ -64,6 +66,7 @@ class Effect(ABC):
         elastic: a spring of the structure: part of the elastic response that other effects refer to.
         needs_elastic: reads `scene.elastic`.
         needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`.
+        registers: places instruments of an absolute session; belongs to the session, not to the robot.
     """
 
     id: ClassVar[str]
@@ -74,6 +77,7 @@ class Effect(ABC):
     elastic: ClassVar[bool] = False
     needs_elastic: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ()
+    registers: ClassVar[bool] = False
 
     @abstractmethod
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
@@ -116,5 +120,8 @@ def absent(scene: Scene, needs: tuple[str, ...]) -> str:
         if need == "ext" and not scene.ext:
             return "no external axis was logged"
         if need == "load" and not np.any(scene.force_in_tool) and not np.any(scene.torque_in_tool):
-            return "no process force acts in this session"
+            if scene.kind == "loaded":
+                return "no process force acts in this session"
+            if not np.any(scene.tau_gravity):
+                return "no process force acts in this session and the robot description gives no masses"
     return ""

@@ -4,35 +4,111 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .station_pose import left_jacobian
 
 
 class GeometryError(Effect):
     id = "geometry_error"
     label = "geometry error"
     physics = (
-        "A joint's zero, the place of its axis or the axis' direction differ from the robot description: derivative of the forward kinematics "
-        "by zero offset (zero_k), displacement (x_k, y_k, z_k) and tilt (tilt_ka, tilt_kb) in each joint's frame. In a loaded session it shows in "
-        "proportion to the commanded displacement only."
+        "A joint's zero, the place of its axis or the axis' direction differ from the robot description: zero offset (zero_k), displacement "
+        "(x_k, y_k, z_k) and tilt (tilt_ka, tilt_kb) in the frame that turns with the joint. Exact forward kinematics in absolute sessions, "
+        "their derivative in loaded ones, where it shows in proportion to the commanded displacement only."
     )
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         out = []
+        base = scene.kind == "absolute"
+        low, high = (-np.inf, np.inf) if base else (-0.5, 0.5)
         for k in range(scene.n_joints):
             group = f"axis {k + 1}"
-            unit = "m" if scene.kin.is_prismatic[k] else "rad"
-            out.append(Parameter(f"zero_{k + 1}", unit, 1e-3, -0.5, 0.5, plausible=(-0.1, 0.1), group=group))
-            out += [Parameter(f"{a}_{k + 1}", "m", 1e-3, -0.5, 0.5, plausible=(-0.05, 0.05), group=group) for a in "xyz"]
-            out += [Parameter(f"tilt_{k + 1}{v}", "rad", 1e-3, -0.5, 0.5, plausible=(-0.05, 0.05), group=group) for v in "ab"]
+            slides = bool(scene.kin.is_prismatic[k])
+            unit = "m" if slides else "rad"
+            out.append(Parameter(f"zero_{k + 1}", unit, 1e-3, low, high, plausible=(-0.1, 0.1), group=group, flat=base))
+            for a in "xyz":
+                out.append(Parameter(f"{a}_{k + 1}", "m", 1e-3, low, high, plausible=(-0.05, 0.05), group=group, flat=base))
+            for v in "ab":
+                name = f"tilt_{k + 1}{v}"
+                out.append(Parameter(name, "rad", 1e-3, low, high, plausible=(-0.05, 0.05), group=group, flat=base))
         return tuple(out)
 
+    def displacement(self, scene: Scene, theta: Array) -> Array:
+        if scene.kind == "loaded":
+            return self._first_order(scene) @ theta
+        p = scene.p_observed
+        for k, t, w in reversed(self._joint_changes(scene, theta)):
+            p = self._moved(scene, k, p, t, w)
+        return (p - scene.p_observed) * scene.moves_with_arm[:, None]
+
     def regressor(self, scene: Scene, theta: Array) -> Array:
+        if scene.kind == "loaded" or not np.any(theta):
+            return self._first_order(scene)
+        n, nk = scene.q.shape
+        changes = self._joint_changes(scene, theta)
+        p = scene.p_observed
+        twist = np.zeros((n, 3, nk, 6))  # by translation and rotation vector in the joint's frame
+        for k, t, w in reversed(changes):
+            R = scene.kin.R_joint[:, k]
+            E = Rotation.from_rotvec(w).as_matrix()
+            # what the joints beyond k have done is turned by the change of this one
+            RER = R @ E @ np.swapaxes(R, 1, 2)
+            twist[:, :, k + 1 :] = np.einsum("nij,njkp->nikp", RER, twist[:, :, k + 1 :])
+            local = np.einsum("nji,nj->ni", R, p - scene.kin.origin[:, k])
+            turned = local @ E.T
+            by_w = np.swapaxes(np.cross(left_jacobian(w).T[None], turned[:, None, :]), 1, 2)
+            twist[:, :, k, :3] = R
+            twist[:, :, k, 3:] = R @ by_w
+            p = self._moved(scene, k, p, t, w)
+        axis, virtual, prismatic = scene.axis_in_joint, scene.kin.virtual_in_joint, scene.kin.is_prismatic
+        out = np.empty((n, 3, nk, 6))
+        out[..., 1:4] = twist[..., :3]
+        along = np.where(prismatic[None, None, :, None], twist[..., :3], twist[..., 3:])
+        zero = np.einsum("nikj,kj->nik", along, axis)
+        follow = _following(scene)
+        out[..., 0] = zero if follow is None else np.einsum("nik,nkl->nil", zero, follow)
+        out[..., 4:6] = np.einsum("nikj,kvj->nikv", twist[..., 3:], virtual)
+        return out.reshape(n, 3, 6 * nk) * scene.moves_with_arm[:, None, None]
+
+    def _joint_changes(self, scene: Scene, theta: Array) -> list[tuple[int, Array, Array]]:
+        """Joint, translation (3,) or (n, 3), rotation vector (3,) or (n, 3), in the frame that turns with it."""
+        by_joint = theta.reshape(scene.n_joints, 6)
+        zero = by_joint[:, 0]
+        follow = _following(scene)
+        if follow is not None:
+            zero = follow.mean(axis=0) @ zero
+        out = []
+        for k in range(scene.n_joints):
+            axis, (a, b) = scene.axis_in_joint[k], scene.kin.virtual_in_joint[k]
+            along = axis * zero[k]
+            t, w = by_joint[k, 1:4].copy(), by_joint[k, 4] * a + by_joint[k, 5] * b
+            if scene.kin.is_prismatic[k]:
+                t += along
+            else:
+                w = w + along
+            out.append((k, t, w))
+        return out
+
+    def _moved(self, scene: Scene, k: int, p: Array, t: Array, w: Array) -> Array:
+        R, o = scene.kin.R_joint[:, k], scene.kin.origin[:, k]
+        local = np.einsum("nji,nj->ni", R, p - o)
+        return o + np.einsum("nij,nj->ni", R, local @ Rotation.from_rotvec(w).as_matrix().T + t)
+
+    def _first_order(self, scene: Scene) -> Array:
         n, k = scene.q.shape
         out = np.empty((n, 3, k, 6))
-        out[..., 0] = scene.J
+        follow = _following(scene)
+        J = scene.kin.jacobian(scene.p_observed) * scene.moves_with_arm[:, None, None]
+        out[..., 0] = J if follow is None else np.einsum("nik,nkl->nil", J, follow)
         out[..., 1:4] = np.swapaxes(scene.kin.R_joint, 1, 2) * scene.moves_with_arm[:, None, None, None]
         out[..., 4:6] = scene.V.reshape(n, 3, k, 2)
         return out.reshape(n, 3, 6 * k)
+
+
+def _following(scene: Scene) -> Array | None:
+    """How joints follow a zero offset: a coupled joint those that drive it, and its own, (n, k, k)."""
+    return None if scene.coupling is None else scene.coupling + np.diag((~scene.driven).astype(float))

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
@@ -21,9 +23,16 @@ class JointTorsion(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale = typical_compliance(scene.robot)
         return tuple(
-            Parameter(f"c_{k + 1}", "rad/(N m)", scale[k], lower=0.0, plausible=(0.0, 100.0 * scale[k]), group=f"axis {k + 1}")
-            for k in range(scene.n_joints)
+            Parameter(
+                f"c_{k + 1}",
+                "m/N" if scene.kin.is_prismatic[k] else "rad/(N m)",
+                scale[k],
+                lower=0.0,
+                plausible=(0.0, 100.0 * scale[k]),
+                group=f"axis {k + 1}",
+            )
+            for k in np.flatnonzero(scene.driven)
         )
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        return scene.J * scene.load_torque()[:, None, :]
+        return (scene.J * scene.load_torque()[:, None, :])[:, :, scene.driven]

@@ -26,13 +26,15 @@ class StationRegistration(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(
             Parameter(f"w_{a}_{s}", "rad", 0.01, -1.0, 1.0, plausible=(-0.2, 0.2), group=f"station {s}")
-            for s in scene.stations
+            for s, known in zip(scene.stations, scene.station_known, strict=True)
+            if known  # an unknown one has its whole pose free: station_pose
             for a in AXES
         )
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.measured_from_station is None:
-            return np.zeros((len(scene), 3, 3 * len(scene.stations)))
+            return np.zeros((len(scene), 3, len(theta)))
         d = np.nan_to_num(scene.measured_from_station)
         turned = np.stack([-np.cross(e, d) for e in np.eye(3)], axis=2)
-        return np.concatenate([turned * (scene.station == s)[:, None, None] for s in range(len(scene.stations))], axis=2)
+        known = [s for s in range(len(scene.stations)) if scene.station_known[s]]
+        return np.concatenate([turned * (scene.station == s)[:, None, None] for s in known], axis=2) if known else turned[:, :, :0]

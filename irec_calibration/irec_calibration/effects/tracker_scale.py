@@ -26,4 +26,7 @@ class TrackerScale(Effect):
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.measured_from_station is None:
             return np.zeros((len(scene), 3, 1))
+        if scene.kind == "absolute" and scene.modelled_from_station is not None:
+            # the measured vector itself would let a fit with free geometry shrink robot, measurement and error together
+            return scene.modelled_from_station[:, :, None]
         return np.nan_to_num(scene.measured_from_station)[:, :, None]

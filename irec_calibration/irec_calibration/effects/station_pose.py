@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where an unknown tracker station stands: part of the base model of an `absolute` session."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..scene import Scene
+from ..typing import Array
+from .base import Effect, Parameter
+
+AXES = ("x", "y", "z")
+
+
+class StationPose(Effect):
+    id = "station_pose"
+    label = "station pose"
+    physics = (
+        "Pose of each tracker station in base_link, relative to where the nominal robot has it: a displacement and a rotation vector w. "
+        "An unknown of every absolute session whose station is not known; it says "
+        "nothing about the robot."
+    )
+    acts_on = "instrument"
+    in_prediction = False
+    registers = True
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        out = []
+        for i, s in enumerate(scene.stations):
+            if scene.kind == "absolute" and not scene.station_known[i]:
+                out += [Parameter(f"{a}_{s}", "m", 1e-3, group=f"station {s}", flat=True) for a in AXES]
+                out += [Parameter(f"w_{a}_{s}", "rad", 1e-3, group=f"station {s}", flat=True) for a in AXES]
+        return tuple(out)
+
+    def displacement(self, scene: Scene, theta: Array) -> Array:
+        out = np.zeros((len(scene), 3))
+        v = self._measured(scene)
+        for rows, d, w in self._by_station(scene, theta):
+            out[rows] = v[rows] - Rotation.from_rotvec(w).apply(v[rows]) - d
+        return out
+
+    def regressor(self, scene: Scene, theta: Array) -> Array:
+        out = np.zeros((len(scene), 3, len(theta)))
+        v = self._measured(scene)
+        for j, (rows, _, w) in enumerate(self._by_station(scene, theta)):
+            out[rows, :, 6 * j : 6 * j + 3] = -np.eye(3)
+            turned = Rotation.from_rotvec(w).apply(v[rows])
+            out[rows, :, 6 * j + 3 : 6 * j + 6] = np.swapaxes(np.cross(turned[:, None, :], left_jacobian(w).T[None]), 1, 2)
+        return out
+
+    def _measured(self, scene: Scene) -> Array:
+        if scene.measured_from_station is None:
+            return np.zeros((len(scene), 3))
+        return np.nan_to_num(scene.measured_from_station)
+
+    def _by_station(self, scene: Scene, theta: Array) -> list[tuple[Array, Array, Array]]:
+        unknown = [i for i in range(len(scene.stations)) if not scene.station_known[i]]
+        return [(scene.station == i, theta[6 * j : 6 * j + 3], theta[6 * j + 3 : 6 * j + 6]) for j, i in enumerate(unknown)]
+
+
+def left_jacobian(w: Array) -> Array:
+    """d exp(w) = [J_l(w) dw]x exp(w), (3, 3)."""
+    angle = float(np.linalg.norm(w))
+    K = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+    if angle < 1e-6:
+        return np.eye(3) + 0.5 * K
+    return np.eye(3) + (1.0 - np.cos(angle)) / angle**2 * K + (angle - np.sin(angle)) / angle**3 * K @ K
