@@ -14,15 +14,16 @@ from typing import Any
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PointStamped, PoseStamped, Vector3, WrenchStamped
+from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion, Vector3, Wrench, WrenchStamped
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 
 from irec_msgs.msg import RobotState
 
@@ -36,7 +37,7 @@ from .course_side import CourseSide
 from .followers import Followers
 from .loop import SimulationLoop
 from .robot_side import FAULT_REASON, RobotSide
-from .streams import LATCHED_QOS, SENSOR_QOS, Stream, Streams, ros_time
+from .streams import LATCHED_QOS, SENSOR_QOS, Stream, Streams, Template, ros_time
 
 RATES = {  # Hz of simulated time
     "clock": 100.0,
@@ -49,6 +50,7 @@ RATES = {  # Hz of simulated time
     "state": 10.0,
     "diagnostics": 1.0,
 }
+_NUMBERS = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]  # to find their places in a serialized message
 SPIN_TIME = 0.5  # s, after which a node looks whether it is to stop
 MODE_NAMES = {RobotState.MODE_POSITION: "position", RobotState.MODE_FORCE: "force", RobotState.MODE_FAULT: "fault"}
 
@@ -68,20 +70,21 @@ class CellNode(Node):
         self.settings = self._instruments()
         self.cell = cell = self._make_cell(self.settings)
         self.followers = Followers(self, max_lead)
-        self.loop = SimulationLoop(self._step, cell.period, speed, lambda: self.followers.may_go_on(cell.time))
+        self.loop = SimulationLoop(self._step, cell.period, speed, lambda: self.followers.may_go_on(cell.time), self._flush)
+        self._outbox: list[tuple[Publisher, Any]] = []  # messages, or serialized ones
         self.robot = RobotSide(self, cell, self.loop, rail_speed)
         self.course: CourseSide | None = None
         self._force_lag = cell.period * math.ceil(self.settings.force_delay / cell.period - 1e-9)
         self._tracker_stamps: Delay[Time] = Delay(self.settings.tracker_delay)
         self._mode: int | None = None
-        self._joints = JointState(name=[*cell.chain.joint_names, *cell.rail_names])
-        self._pose = PoseStamped()
-        self._pose.header.frame_id = "base_link"
-        self._wrench, self._raw = WrenchStamped(), WrenchStamped()
-        self._wrench.header.frame_id, self._raw.header.frame_id = "tool0", "ft_sensor"
-        self._point = PointStamped()
-        self._publish_state = self.create_publisher(RobotState, "robot/state", SENSOR_QOS).publish
-        self._publish_temperature: dict[str, Callable[[Any], None]] = {}
+        axes = [*cell.chain.joint_names, *cell.rail_names]
+        ones = [float(k + 1) for k in range(len(axes))]
+        self._joints = Template(JointState(name=axes, position=ones), ones)
+        self._pose = Template(_pose(_NUMBERS[:7]), _NUMBERS[:7])
+        self._wrench, self._raw = (Template(_wrench(frame, _NUMBERS[:6]), _NUMBERS[:6]) for frame in ("tool0", "ft_sensor"))
+        self._point: dict[str, Template] = {}
+        self._temperature: dict[str, Publisher] = {}
+        self._send_state = self._sender(RobotState, "robot/state", self._state)
         self._streams = Streams(
             [
                 Stream(rates["joint_states"], self._sender(JointState, "joint_states", self._fill_joints)),
@@ -113,65 +116,62 @@ class CellNode(Node):
         self._streams.after_step()
 
     def _sender(self, message_class: type, topic: str, fill: Callable[[], Any]) -> Callable[[], None]:
+        """What publishes the message, whole or serialized, that `fill` returns; nothing where that is None."""
         publisher = self.create_publisher(message_class, topic, SENSOR_QOS)
 
         def send() -> None:
             message = fill()
             if message is not None:
-                publisher.publish(message)
+                self._put(publisher, message)
 
         return send
 
-    def _fill_joints(self) -> JointState:
+    def _put(self, publisher: Publisher, message: Any) -> None:
+        """Send with the next flush."""
+        self._outbox.append((publisher, message))
+
+    def _flush(self) -> None:
+        for publisher, message in self._outbox:
+            publisher.publish(message)
+        self._outbox.clear()
+
+    def _fill_joints(self) -> bytes:
         q, rail = self.cell.joints()
-        self._joints.header.stamp = self._now
-        self._joints.position = [*q.tolist(), *([float(rail)] if self.cell.rail_names else [])]
-        return self._joints
+        return self._joints.serialized(self._now, [*q.tolist(), rail] if self.cell.rail_names else q.tolist())
 
-    def _fill_pose(self) -> PoseStamped:
+    def _fill_pose(self) -> bytes:
         p, R = self.cell.tcp()
-        message = self._pose
-        message.header.stamp = self._now
-        position, orientation = message.pose.position, message.pose.orientation
-        position.x, position.y, position.z = p.tolist()
-        orientation.x, orientation.y, orientation.z, orientation.w = quaternion_of_rotation(R).tolist()
-        return message
+        return self._pose.serialized(self._now, [*p.tolist(), *quaternion_of_rotation(R).tolist()])
 
-    def _fill_wrench(self) -> WrenchStamped:
-        return self._filled(self._wrench, self.cell.wrench())
+    def _fill_wrench(self) -> bytes:
+        return self._wrench.serialized(self._force_stamp(), self.cell.wrench().tolist())
 
-    def _fill_raw(self) -> WrenchStamped:
-        return self._filled(self._raw, self.cell.wrench_raw())
-
-    def _filled(self, message: WrenchStamped, values: Any) -> WrenchStamped:
-        message.header.stamp = self._force_stamp()
-        force, torque = message.wrench.force, message.wrench.torque
-        force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
-        return message
+    def _fill_raw(self) -> bytes:
+        return self._raw.serialized(self._force_stamp(), self.cell.wrench_raw().tolist())
 
     def _force_stamp(self) -> Time:
         """Of the reading, which came out of the sensor `force_delay` ago."""
         return ros_time(max(self.cell.time - self._force_lag, 0.0)) if self._force_lag else self._now
 
-    def _fill_point(self) -> PointStamped | None:
+    def _fill_point(self) -> bytes | None:
         reading = self.cell.tracker()
         stamp = self._tracker_stamps.pass_through(self.cell.time, self._now)
         if reading is None:
             return None
-        message = self._point
-        message.header.stamp, message.header.frame_id = stamp, reading[0]
-        message.point.x, message.point.y, message.point.z = reading[1].tolist()
-        return message
+        station, p = reading
+        if station not in self._point:
+            self._point[station] = Template(_point(station, _NUMBERS[:3]), _NUMBERS[:3])
+        return self._point[station].serialized(stamp, p.tolist())
 
     def _send_temperatures(self) -> None:
         for name, value in self.cell.temperatures().items():
-            if name not in self._publish_temperature:
-                self._publish_temperature[name] = self.create_publisher(Temperature, f"temperature/{name}", SENSOR_QOS).publish
+            if name not in self._temperature:
+                self._temperature[name] = self.create_publisher(Temperature, f"temperature/{name}", SENSOR_QOS)
             message = Temperature(temperature=float(value))
             message.header.stamp, message.header.frame_id = self._now, name
-            self._publish_temperature[name](message)
+            self._put(self._temperature[name], message)
 
-    def _send_state(self) -> None:
+    def _state(self) -> RobotState:
         x, y, z = self.cell.offset.tolist()
         message = RobotState(
             mode=int(self.cell.mode),
@@ -181,7 +181,7 @@ class CellNode(Node):
             message=FAULT_REASON if self.cell.mode == RobotState.MODE_FAULT else "",
         )
         message.header.stamp, message.header.frame_id = self._now, "base_link"
-        self._publish_state(message)
+        return message
 
     def _diagnostics(self) -> DiagnosticArray:
         values = {
@@ -239,6 +239,20 @@ class CellNode(Node):
             else:
                 return SetParametersResult(successful=False, reason=f"{parameter.name} can only be set at the start")
         return SetParametersResult(successful=True)
+
+
+def _pose(v: list[float]) -> PoseStamped:
+    pose = Pose(position=Point(x=v[0], y=v[1], z=v[2]), orientation=Quaternion(x=v[3], y=v[4], z=v[5], w=v[6]))
+    return PoseStamped(header=Header(frame_id="base_link"), pose=pose)
+
+
+def _wrench(frame: str, v: list[float]) -> WrenchStamped:
+    wrench = Wrench(force=Vector3(x=v[0], y=v[1], z=v[2]), torque=Vector3(x=v[3], y=v[4], z=v[5]))
+    return WrenchStamped(header=Header(frame_id=frame), wrench=wrench)
+
+
+def _point(station: str, v: list[float]) -> PointStamped:
+    return PointStamped(header=Header(frame_id=station), point=Point(x=v[0], y=v[1], z=v[2]))
 
 
 def _problem(name: str, value: float) -> str:

@@ -10,7 +10,9 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-MIN_SLEEP = 1e-3  # s; being ahead of the clock by less is not worth a sleep
+MIN_SLEEP = 2e-3  # s; being ahead of the clock by less is not worth a sleep
+MAX_HOLD = 4e-3  # s of the machine's clock for which what a step has to say may wait for the next steps
+FOLLOWER_POLL = 5e-4  # s
 MAX_BACKLOG = 0.1  # s of the machine's clock; time lost beyond this is given up, not caught up in a burst
 CALL_TIMEOUT = 10.0  # s of the machine's clock that `call` waits for the plant
 
@@ -21,9 +23,18 @@ class SimulationLoop:
     Anything that touches the plant from another thread goes through `call`, so that the plant needs no locks.
     """
 
-    def __init__(self, step: Callable[[], None], period: float, speed: float, may_go_on: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        step: Callable[[], None],
+        period: float,
+        speed: float,
+        may_go_on: Callable[[], bool],
+        flush: Callable[[], None],
+    ) -> None:
+        """flush: sends what the steps have left to say. Waking a receiver costs more than a message, so steps that
+        fall into a few milliseconds of the machine's clock are sent together; in real time that is each step alone."""
         self.speed = speed
-        self._step, self._period, self._may_go_on = step, period, may_go_on
+        self._step, self._period, self._may_go_on, self._flush = step, period, may_go_on, flush
         self._calls: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
@@ -47,19 +58,22 @@ class SimulationLoop:
 
     def _run(self) -> None:
         try:
-            due = time.monotonic()
+            due = flushed = time.monotonic()
             while not self._stop.is_set():
                 self._serve_calls()
                 if not self._may_go_on():
-                    time.sleep(MIN_SLEEP)
+                    self._flush()
+                    time.sleep(FOLLOWER_POLL)
                     continue
                 self._step()
                 due += self._period / self.speed
-                ahead = due - time.monotonic()
-                if ahead > MIN_SLEEP:
-                    time.sleep(ahead)
-                elif ahead < -MAX_BACKLOG:
-                    due -= ahead
+                now = time.monotonic()
+                if due - now > MIN_SLEEP or now - flushed > MAX_HOLD:
+                    self._flush()
+                    now = flushed = time.monotonic()
+                    time.sleep(max(due - now, 0.0))  # also when late: lets the threads in that take commands
+                if due - now < -MAX_BACKLOG:
+                    due = now
         except BaseException as error:
             self.failure = error
 
