@@ -12,7 +12,7 @@ from ..model import Term, total_displacement
 from ..noise import position_sigma
 from ..scene import Scene, marker_by_controller, scene_of
 from ..session.data import Session
-from ..typing import Array
+from ..typing import BoolArray
 from .result import Measurement
 
 NEW_POSES_PER_POSE = 2
@@ -51,7 +51,7 @@ def next_measurements(session: Session, a: Sequence[Term], b: Sequence[Term], na
     return tuple(sorted(found, key=lambda m: -m.gain)[:AT_MOST])
 
 
-def _usable(scene: Scene, session: Session) -> Array:
+def _usable(scene: Scene, session: Session) -> BoolArray:
     return (scene.load_case != 0) if session.kind == "loaded" else session.marker_seen
 
 

@@ -98,8 +98,9 @@ class FormulaEffect(Effect):
         if isinstance(node, (ast.BinOp, ast.UnaryOp)):
             if type(node.op) not in OPERATORS:
                 raise EffectError(f"formula '{self.formula}': operator in '{ast.unparse(node)}' is not allowed; use + - * / **")
-            if isinstance(node.op, ast.Pow) and isinstance(node.right, ast.Constant) and abs(node.right.value) > LARGEST_EXPONENT:  # type: ignore[operator]
-                raise EffectError(f"formula '{self.formula}': exponent {node.right.value} is above {LARGEST_EXPONENT}")
+            exponent = node.right.value if isinstance(node, ast.BinOp) and isinstance(node.right, ast.Constant) else None
+            if isinstance(node.op, ast.Pow) and isinstance(exponent, (int, float)) and abs(exponent) > LARGEST_EXPONENT:
+                raise EffectError(f"formula '{self.formula}': exponent {exponent} is above {LARGEST_EXPONENT}")
             children = [node.left, node.right] if isinstance(node, ast.BinOp) else [node.operand]
         elif isinstance(node, ast.Call):
             if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS or node.keywords:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..typing import Array
+from ..typing import Array, IntArray
 from . import style
 
 
-def norms_per_sample(commanded: Array, residual: Array, floor: float, path: str | Path, *, poses: Array | None = None) -> Path:
+def norms_per_sample(commanded: Array, residual: Array, floor: float, path: str | Path, *, poses: IntArray | None = None) -> Path:
     """Norms of the commanded TCP displacement and of the residual, sample by sample (Fig. 8g).
 
     Args:

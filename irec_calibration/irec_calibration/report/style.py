@@ -36,7 +36,7 @@ def pyplot() -> Any:
             "axes.grid": True,
             "grid.alpha": 0.25,
             "axes.axisbelow": True,
-            "axes.prop_cycle": matplotlib.cycler(color=list(CYCLE)),
+            "axes.prop_cycle": plt.cycler(color=list(CYCLE)),
             "legend.frameon": False,
         }
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -152,7 +153,7 @@ class Session:
     @property
     def marker_seen(self) -> BoolArray:
         """Rows in which the marker was measured, shape (n,)."""
-        return ~np.isnan(self.p_marker_in_station).any(axis=1)
+        return np.logical_not(np.isnan(self.p_marker_in_station).any(axis=1))
 
     @property
     def poses(self) -> IntArray:
@@ -174,7 +175,7 @@ class Session:
     def select(self, rows: BoolArray | IntArray) -> Session:
         """The same session with some rows only (a mask or indices)."""
 
-        def take(a: Array | None) -> Array | None:
+        def take(a: Any) -> Any:
             return None if a is None else a[rows]
 
         per_row = "pose load_case repeat stamp q p_tcp_in_base p_marker_in_station station marker force_in_tool torque_in_tool"

@@ -13,7 +13,7 @@ import yaml
 
 from ..errors import SessionError
 from ..robot import Robot
-from ..typing import Array
+from ..typing import Array, IntArray
 from .data import Session
 from .header import Header, read_header
 
@@ -80,7 +80,7 @@ class Columns:
                 raise SessionError(f"{self.where(i, name)}: {text} is not a finite number; leave it empty if not measured")
         return out
 
-    def integers(self, name: str, *, absent: int | None = None, minimum: int = 0) -> Array:
+    def integers(self, name: str, *, absent: int | None = None, minimum: int = 0) -> IntArray:
         values = self.numbers(name, required=absent is None, absent=None if absent is None else float(absent))
         if absent is not None:
             values = np.where(np.isnan(values), float(absent), values)
@@ -193,7 +193,7 @@ def _check_limits(columns: Columns, robot: Robot, q: Array) -> None:
         )
 
 
-def _index(columns: Columns, name: str, names: list[str]) -> Array:
+def _index(columns: Columns, name: str, names: list[str]) -> IntArray:
     if name not in columns:
         return np.zeros(len(columns), dtype=np.int64)
     out = np.zeros(len(columns), dtype=np.int64)
@@ -229,7 +229,7 @@ def write_table(session: Session, folder: str | Path) -> Path:
 def columns_of(s: Session) -> tuple[list[str], list[list[str]]]:
     table: dict[str, list[str]] = {}
 
-    def put(name: str, values: Array) -> None:
+    def put(name: str, values: Array | IntArray) -> None:
         table[name] = ["" if isinstance(v, float) and math.isnan(v) else repr(v) for v in values.tolist()]
 
     put("pose", s.pose)

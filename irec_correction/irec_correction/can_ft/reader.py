@@ -74,7 +74,7 @@ def open_bus(bus: Bus, base: int) -> Any:
     """Open, listening to this sensor only. Raises CorrectionError."""
     filters = [{"can_id": base + i, "can_mask": 0x7FF, "extended": False} for i in range(1, 7)]
     try:
-        extra = {"sleep_after_open": SLCAN_WAIT} if bus.interface == "slcan" else {}
+        extra: dict[str, Any] = {"sleep_after_open": SLCAN_WAIT} if bus.interface == "slcan" else {}
         return can.Bus(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, can_filters=filters, **extra)
     except Exception as error:  # each interface of python-can has errors of its own
         raise CorrectionError(f"CAN: can't open {bus.interface}:{bus.channel} at {bus.bitrate} bit/s: {error}") from error

@@ -52,7 +52,9 @@ class Bridge:
     def __init__(self, setup: BridgeSetup, pipe: Connection) -> None:
         """Raises IrecError where socket, blocks or robot description can't be used."""
         self._pipe: Connection | None = pipe
-        self._blocks = [SharedValues.attach(setup.report_block, REPORT_SIZE), SharedValues.attach(setup.latency_block, KEPT)]
+        report = SharedValues.attach(setup.report_block, REPORT_SIZE)
+        latency = SharedValues.attach(setup.latency_block, KEPT)
+        self._blocks = [report, latency]
         self.source: ChainSource | GivenSource
         if setup.chain is not None:
             self.source = ChainSource(setup.chain)
@@ -60,7 +62,7 @@ class Bridge:
             block = SharedValues.attach(setup.offset_block, OFFSET_SIZE)
             self._blocks.append(block)
             self.source = GivenSource(setup.correction, block, setup.offset_timeout)
-        self.loop = RsiLoop(setup.link, self.source, *self._blocks[:2], cycle_ms=setup.cycle_ms)
+        self.loop = RsiLoop(setup.link, self.source, report, latency, setup.cycle_ms)
         self._told: tuple[State, str] | None = None
         self._fade = setup.correction.times.fade
         self._end: float | None = None

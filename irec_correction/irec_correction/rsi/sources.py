@@ -28,8 +28,11 @@ OFFSET_SIZE = 8
 class OffsetSource(Protocol):
     """What the loop asks once per packet."""
 
-    state: State
-    reason: str
+    @property
+    def state(self) -> State: ...
+
+    @property
+    def reason(self) -> str: ...
 
     def offset(self, packet: RobotPacket, now: float) -> tuple[Array, Array]:
         """Translation (3,), m, and rotation vector (3,), rad, to be sent; now: CLOCK_MONOTONIC, s."""
@@ -69,7 +72,8 @@ class ChainSource:
         sensor = sensor_in_tool(robot, settings.sensor_frame) if settings.raw else None
         conditioner = Conditioner(make_filters(settings.filters), sensor, settings.load, settings.cable, settings.gravity)
         self.chain = Correction(settings.correction, robot, conditioner)
-        self._block_name, self._block = settings.wrench_block, None
+        self._block_name = settings.wrench_block
+        self._block: SharedValues | None = None
         self._values = np.zeros(WRENCH_SIZE)
         self._version = 0
         self._tries = 0
