@@ -118,7 +118,12 @@ def scale_to_share(cell: CellFile, truth: Truth, share: float, seed: int = 0, po
     Returns:
         the truth, and the effects that could be scaled; the others don't show in a loaded session at all (encoder
         harmonics cancel, play shows only where the torque changes sign) or can't become so strong, and keep scale 1.
+
+    Raises:
+        SimError: share not in (0, 1].
     """
+    if not 0.0 < share <= 1.0:
+        raise SimError(f"strength is {share:g}: a share of the RMS deflection in (0, 1] is needed, 0.08 for 8 %")
     rng = np.random.default_rng([seed, 2])
     schedule = make_schedule(cell, spread_poses(cell, poses, rng), 0.0, rng)
     before = simulate(cell, truth.without(*(h.effect for h in truth.hidden)).physics(), schedule)

@@ -208,6 +208,12 @@ def test_the_truth_may_not_be_written_into_the_session(tmp_path, capsys):
     assert "must not be inside" in capsys.readouterr().err
 
 
+def test_a_strength_that_is_no_share_is_refused(tmp_path, capsys):
+    assert main(["session", "--effect", "creep", "--strength", "8", "-o", str(tmp_path / "s")]) == 2
+    assert "share of the RMS deflection" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
+
+
 def test_an_existing_folder_is_not_overwritten(tmp_path, capsys):
     (tmp_path / "s").mkdir()
     (tmp_path / "s" / "mine.txt").write_text("x")
