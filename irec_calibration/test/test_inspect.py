@@ -34,11 +34,8 @@ def test_a_real_recording_is_described_by_topic(bag: Path, capsys: pytest.Captur
     code, out, _ = inspect(capsys, bag, "--json")
     topics = {topic["name"]: topic for topic in json.loads(out)["topics"]}
     assert code == 0
-    assert {name: topic["count"] for name, topic in topics.items() if name in ("/joint_states", "/wrench", "/tracker_points")} == {
-        "/joint_states": 2489,
-        "/wrench": 2491,
-        "/tracker_points": 200,
-    }
+    counts = [topics[name]["count"] for name in ("/joint_states", "/wrench", "/tracker_points")]
+    assert counts == [2489, 2491, 200]
     assert topics["/joint_states"]["rate"] == pytest.approx(125.0, rel=0.01)
     assert 0.0 < topics["/joint_states"]["skew"]["median"] < 0.005
 

@@ -115,7 +115,7 @@ def linear_move(chain: Chain, q: Array, rail: float, p_goal: Array, R_goal: Arra
     turn = rotation_vector(R_goal @ R_start.T)
     length = float(np.linalg.norm(p_goal - p_start))
     angle = float(np.linalg.norm(turn))
-    knots = 2 + int(max(length / KNOT, angle / TURN_KNOT))
+    knots = 4 + int(max(length / KNOT, angle / TURN_KNOT))
     share = np.linspace(0.0, 1.0, knots)
     p = p_start + share[:, None] * (p_goal - p_start)
     R = rotation_of_vector(share[:, None] * turn) @ R_start
@@ -134,7 +134,7 @@ def linear_move(chain: Chain, q: Array, rail: float, p_goal: Array, R_goal: Arra
 
 
 def table_move(q: Array, rail: float, length: float, speed: float) -> Move:
-    """Along joint angles q (k, n) at equal steps of a path of given length (m), cubic between them; speed in m/s."""
+    """Along joint angles q (k, n), k > 2, at equal steps of a path of given length (m), cubic between; speed in m/s."""
     last = len(q) - 1
 
     def at(s: float) -> tuple[Array, float]:
@@ -146,9 +146,9 @@ def table_move(q: Array, rail: float, length: float, speed: float) -> Move:
 
 
 def _cubic(table: Array, k: int, u: float) -> Array:
-    """Catmull-Rom interpolation between rows k and k + 1."""
+    """Catmull-Rom interpolation between rows k and k + 1; beyond the ends the table goes on as a parabola."""
     a, b = table[k], table[k + 1]
-    before = table[k - 1] if k > 0 else 2 * a - b
-    after = table[k + 2] if k + 2 < len(table) else 2 * b - a
+    before = table[k - 1] if k > 0 else 3 * a - 3 * b + table[k + 2]
+    after = table[k + 2] if k + 2 < len(table) else 3 * b - 3 * a + table[k - 1]
     m0, m1 = (b - before) / 2, (after - a) / 2
     return a + u * (m0 + u * (3 * (b - a) - 2 * m0 - m1 + u * (2 * (a - b) + m0 + m1)))
