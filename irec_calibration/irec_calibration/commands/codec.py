@@ -14,6 +14,7 @@ import numpy as np
 from ..codec import TRAIN_TO_TEST, Codec, pose_data, run_codec
 from ..codec_charts import save_arrays, save_chart, save_table
 from ..errors import IrecError, PlanError
+from ..follow import follow
 from ..growth import growth_of
 from ..model import EIGHTEEN_DOF, SIX_DOF, Term, blank_model
 from ..model_file import check_belongs, load_model
@@ -45,10 +46,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--ratio", type=float, default=TRAIN_TO_TEST, help="training poses per verification pose (default: 70/30)"
     )
     parser.add_argument("--seed", type=int, default=1, help="of the random draws (default: 1)")
+    parser.add_argument(
+        "--follow", action="store_true", help="the recording is still being written: chart and verdict after every pose"
+    )
     parser.add_argument("--json", action="store_true", help="machine-readable figures on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.follow:
+        return _follow(args)
     session = read_session(args.session)
     codecs = _codecs(session, args)
     folder = Path(args.output)
@@ -81,6 +87,22 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _follow(args: argparse.Namespace) -> int:
+    models = args.model or ["18"]
+    if args.compare or len(models) > 1 or Path(models[0]).exists():
+        raise PlanError("--follow takes one model by its effects (--model 6, 18 or ids), and no comparison")
+    folder = Path(args.output)
+    folder.mkdir(parents=True, exist_ok=True)
+    for news in follow(args.session, _blank(models[0])):
+        if news.codec is not None:
+            save_chart([news.codec], folder / "codec.png", Path(args.session).name)
+        if args.json:
+            print(json.dumps({"poses": news.poses, **(_figures(news.codec) if news.codec else {"growth": news.why})}), flush=True)
+        else:
+            print(f"{news.poses} poses: {news.growth or news.why}", flush=True)
+    return 0
+
+
 def _codecs(session: Session, args: argparse.Namespace) -> list[Codec]:
     options = {"combinations": args.combinations, "ratio": args.ratio, "seed": args.seed}
     models = args.model or []
@@ -108,12 +130,16 @@ def _codecs(session: Session, args: argparse.Namespace) -> list[Codec]:
 
 
 def _terms(model: str, session: Session) -> Sequence[Term]:
-    if model in ("6", "18"):
-        return blank_model(SIX_DOF if model == "6" else EIGHTEEN_DOF)
-    if Path(model).suffix in (".yaml", ".yml") or Path(model).exists():
+    if model not in ("6", "18") and (Path(model).suffix in (".yaml", ".yml") or Path(model).exists()):
         loaded = load_model(model)
         check_belongs(loaded, session.robot, session.serial)
         return loaded.terms
+    return _blank(model)
+
+
+def _blank(model: str) -> Sequence[Term]:
+    if model in ("6", "18"):
+        return blank_model(SIX_DOF if model == "6" else EIGHTEEN_DOF)
     return blank_model([effect.strip() for effect in model.split(",")])
 
 
