@@ -19,6 +19,7 @@ from .conditioning import Conditioner
 from .deflection import Deflection
 from .errors import ActivationError, SettingsError
 from .limits import OffsetLimiter, OffsetLimits
+from .spring_chain import build_chain
 from .state import State, StateTimes, Supervisor
 from .watchdog import Fault, Finding, Watchdog, WatchdogSettings
 
@@ -99,7 +100,10 @@ class Correction:
         self._q = np.zeros(robot.n_joints)
         self._rail = 0.0
         self._wrench = np.zeros(6)
+        # a raw reading can be freed of the tool's weight only where the orientation is known: by joint angles of its own time
+        self._kinematics = build_chain(robot) if conditioner.sensor is not None else None
         self._R_tool = np.eye(3)
+        self._oriented = self._kinematics is None
         self._wanted = np.zeros(6)
         self._u = np.zeros(3)
         self._last_tick: float | None = None
@@ -148,13 +152,16 @@ class Correction:
             self.watchdog.refuse(Fault.SENSOR_STATUS, f"force sensor reports {status}")
         else:
             self.watchdog.clear()
-        if self.watchdog.accept_wrench(stamp, now, frame, reading):
+        if self.watchdog.accept_wrench(stamp, now, frame, reading) and self._oriented:
             self._wrench = self.conditioner.step(reading, self._R_tool)
 
     def take_joints(self, stamp: float, now: float, q: Array, rail_position: float = 0.0) -> None:
         """Joint angles (k,), rad, and the external axis, m."""
         if self.watchdog.accept_joints(stamp, now, q):
             self._q, self._rail = q, rail_position if math.isfinite(rail_position) else self._rail
+            if self._kinematics is not None:
+                self._kinematics.update(q)
+                self._R_tool, self._oriented = self._kinematics.R_tool, True
 
     # -- output --------------------------------------------------------------------------------------------------------
 
@@ -168,7 +175,9 @@ class Correction:
         finding: Finding | None = self.watchdog.finding(now, self._wrench)
         if finding is None and self.deflection is not None:
             u, turn = self.deflection(self._q, self._wrench[:3], self._wrench[3:], min(max(dt, 0.0), period), self._rail)
-            self._u, self._R_tool = u, self.deflection.R_tool
+            self._u = u
+            if self._kinematics is None:
+                self._R_tool = self.deflection.R_tool
             wanted = np.concatenate([-u, -turn if self.settings.with_rotation else np.zeros(3)])
             self._wanted = self._ahead.step(wanted, dt)
         elif finding is not None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chain import PERIOD, ROBOT, WRENCH, Rig, model
+from chain import PERIOD, ROBOT, WRENCH, Q, Rig, model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_correction.correction import Correction, CorrectionSettings
@@ -271,3 +271,22 @@ def test_whatever_happens_no_offset_step_is_above_the_rate_limit(sequence):
         rig.now += PERIOD
         rig.tick()
     assert rig.largest_step <= STEP
+
+
+def test_a_raw_reading_is_freed_of_the_tools_weight_at_the_orientation_of_its_own_time():
+    from irec_calibration.tool_load import ToolLoad
+    from irec_correction.conditioning import Conditioner, sensor_in_tool, to_tcp
+
+    load = ToolLoad(120.0, (0.0, 0.01, 0.2), (18.0, -11.0, 25.0), (1.2, -0.8, 0.5))
+    R_sensor, p_sensor = sensor_in_tool(ROBOT, "ft_sensor")
+    correction = Correction(CorrectionSettings(), ROBOT, Conditioner([], (R_sensor, p_sensor), load))
+    correction.put_in_force(model(), 0.0)
+    process = np.array([50.0, -20.0, -700.0, 1.0, 2.0, 3.0])
+    for i, q in enumerate((Q, Q + [0, 0, 0, 0.002, 0.003, 0])):
+        R = ROBOT.kinematics(q[None]).R_tool[0] @ R_sensor
+        reading = process + load.reading(R, np.array([0.0, 0.0, -9.81]))
+        now = 10.0 + i * PERIOD
+        correction.take_joints(now, now, q)
+        correction.take_wrench(now, now, "ft_sensor", reading)
+        out = correction.tick(now)
+        np.testing.assert_allclose(out.wrench_at_tcp, to_tcp(process, R_sensor, p_sensor), atol=1e-9)

@@ -73,7 +73,7 @@ class LinkCounts:
     late_in_a_row: int = 0
     most_late_in_a_row: int = 0
     wrong: int = 0
-    latency: list[float] = field(default_factory=list)
+    latency: list[float] = field(default_factory=list, repr=False)
 
 
 class RsiController:
