@@ -165,7 +165,9 @@ def calibrate(operator: Operator, tell: Progress, args: argparse.Namespace, out:
     return {"session": session, "models": models, "poses": result.poses_recorded, "path_poses": poses}
 
 
-def drive(operator: Operator, tell: Progress, args: argparse.Namespace, out: Path, models: dict[str, Path | None]) -> dict[str, Path]:
+def drive(
+    operator: Operator, tell: Progress, args: argparse.Namespace, out: Path, models: dict[str, Path | None]
+) -> dict[str, Path]:
     """The loaded course once for each model, None for no correction; the tables that the cell writes, by the same names."""
     from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
     from rcl_interfaces.srv import SetParameters

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make demo-hidden`: a cell with an effect that the 18-DOF model lacks. Calibrate, see where the model fails, learn which effect is
-missing, add it, watch the error fall, and drive the loaded course without correction, with the old and with the new model.
+"""`make demo-hidden`: a cell with an effect that the 18-DOF model lacks. Calibrate, see where the model fails, learn which
+effect is missing, add it, watch the error fall, and drive the loaded course without correction, with the old and with the
+new model.
 
 Only the simulated cell reads the truth file. Results go to out/demo-hidden: report.html tells the story.
 """

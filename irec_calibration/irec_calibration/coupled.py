@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Passive joints that follow others through a linkage, as written in session.yaml: `joint_4: {passive: "-(joint_2 + joint_3)"}`."""
+"""Passive joints that follow others through a linkage, as written in session.yaml: `joint_4: {passive: "-(joint_2 +
+joint_3)"}`."""
 
 from __future__ import annotations
 

@@ -43,8 +43,9 @@ MAX_ITERATIONS = 8
 CONVERGED = 1e-6  # of the parameter scale
 FOLDS = 10
 GUESSED = (
-    "the link masses of the robot description are guesses: of each compliance only its product with the masses that load it is known;"
-    " deflection under gravity is what was measured, deflection under a process force is not to be predicted from it"
+    "the link masses of the robot description are guesses: of each compliance only its product with the masses that load "
+    "it is known; deflection under gravity is what was measured, deflection under a process force is not to be predicted "
+    "from it"
 )
 
 
@@ -149,7 +150,8 @@ def solve(system: System, rows: BoolArray | None = None, prior_width: Array | No
 
 
 def with_values(terms: Sequence[Term], system: System, x: Array) -> tuple[Term, ...]:
-    """The terms with the scaled values x (counted from the system's centre); parameters that are not part of the system keep theirs."""
+    """The terms with the scaled values x (counted from the system's centre); parameters that are not part of the system keep
+    theirs."""
     out = []
     for i, term in enumerate(terms):
         estimates = dict(term.estimates)

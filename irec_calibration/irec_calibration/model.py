@@ -47,7 +47,8 @@ class Term:
         return np.array([self.estimates[p.name].value if p.name in self.estimates else p.start for p in parameters])
 
     def free(self, parameters: Sequence[Parameter]) -> list[int]:
-        """Indices of the parameters that a fit may change: those that the term names (all where it names none), without a grid."""
+        """Indices of the parameters that a fit may change: those that the term names (all where it names none), without a
+        grid."""
         named = {p.name for p in parameters} & set(self.estimates)
         return [i for i, p in enumerate(parameters) if not p.grid and (not named or p.name in named)]
 

@@ -49,7 +49,10 @@ class Whitening:
         blocks = []
         for groups in by_size.values():
             index = np.stack(groups)
-            covariance = self.sigma[index][:, :, None] ** 2 * np.eye(index.shape[1]) + self.sigma_reference[index[:, 0]][:, None, None] ** 2
+            covariance = (
+                self.sigma[index][:, :, None] ** 2 * np.eye(index.shape[1])
+                + self.sigma_reference[index[:, 0]][:, None, None] ** 2
+            )
             L = np.linalg.cholesky(covariance)
             blocks.append((index, np.linalg.inv(L), L))
         object.__setattr__(self, "_blocks", blocks)

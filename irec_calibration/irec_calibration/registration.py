@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the tracker stations and the markers are in an `absolute` session, from the robot description alone.
 
-Closed form first (a linear problem whose rotation matrices are free, then projected), so that a session which states no pose at all
-starts as well as one that does; then a robust nonlinear refinement. What is `known: true` stays as stated.
+Closed form first (a linear problem whose rotation matrices are free, then projected), so that a session which states no pose
+at all starts as well as one that does; then a robust nonlinear refinement. What is `known: true` stays as stated.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ G = 9.81  # m/s^2
 
 @dataclass(frozen=True)
 class _Rows:
-    """Seen rows: station and marker index, measured point in the station (m, 3), believed point at marker origin, its rotation."""
+    """Seen rows: station and marker index, measured point in the station (m, 3), believed point at marker origin, its
+    rotation."""
 
     station: IntArray
     marker: IntArray

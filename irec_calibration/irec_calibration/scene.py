@@ -49,7 +49,8 @@ class Scene:
         reference: index of the row's reference row, -1 in absolute sessions; previous: of the row before in the same pose
             and repeat (loaded) or of the pose before (absolute), -1 for the first.
         measured_from_station: vector from the station to the measured marker, (n, 3), m; None in predictions.
-        modelled_from_station: vector from the station to where the controller believes the marker, (n, 3), m; None in predictions.
+        modelled_from_station: vector from the station to where the controller believes the marker, (n, 3), m; None in
+            predictions.
         sensor_axis_in_tool: mounting axis of the force sensor, (3,).
         station_known, marker_known: False where the pose is an unknown of the session; all known where not given.
         coupling: how passive joints follow the driven ones, dq = coupling dq_driven, (n, k, k); None where all are driven.
@@ -119,7 +120,8 @@ class Scene:
         return np.einsum("kji,kj->ki", self.kin.R_joint[0], self.kin.axis[0])
 
     def followed(self, per_joint: Array) -> Array:
-        """Quantities per joint that act on coordinates, (n, ..., k), carried over to the driven joints that passive ones follow."""
+        """Quantities per joint that act on coordinates, (n, ..., k), carried over to the driven joints that passive ones
+        follow."""
         return per_joint if self.coupling is None else np.einsum("n...k,nkl->n...l", per_joint, self.coupling)
 
     @property

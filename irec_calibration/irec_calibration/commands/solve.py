@@ -17,7 +17,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", default="model.yaml", help="model file to write (default: model.yaml)")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--dof", type=int, choices=(6, 18), help="6: joint_torsion; 18: with link_bending (default)")
-    which.add_argument("--terms", help="effect ids with commas between, instead of --dof (default for absolute sessions: the geometric model)")
+    which.add_argument(
+        "--terms", help="effect ids with commas between, instead of --dof (default for absolute sessions: the geometric model)"
+    )
     parser.add_argument("--json", action="store_true", help="machine-readable figures on standard output")
 
 
@@ -60,7 +62,9 @@ def describe(model: Model) -> str:
         lines.append(f"mean error {1e3 * f['fit_mean_m']:.4f} mm, on held-out poses {1e3 * f['cv_mean_m']:.4f} mm")
     lines += [f"known as a sum: {c}" for c in model.combinations]
     if "held_at_zero" in model.made:
-        lines.append(f"held at zero, since others do the same or the poses do not show them: {', '.join(model.made['held_at_zero'])}")
+        lines.append(
+            f"held at zero, since others do the same or the poses do not show them: {', '.join(model.made['held_at_zero'])}"
+        )
     if "caution" in model.made:
         lines.append(f"caution: {model.made['caution']}")
     return "\n".join(lines)

@@ -14,8 +14,9 @@ class EncoderHarmonics(Effect):
     id = "encoder_harmonics"
     label = "encoder harmonics"
     physics = (
-        "An eccentric encoder disc or gear makes a joint error that is periodic in the angle: J_k (a sin q_k + b cos q_k), also with 2 q_k. "
-        "Missing, the residual is periodic in one joint angle and blind to load; in a loaded session it all but cancels."
+        "An eccentric encoder disc or gear makes a joint error that is periodic in the angle: J_k (a sin q_k + b cos q_k), "
+        "also with 2 q_k. Missing, the residual is periodic in one joint angle and blind to load; in a loaded session it "
+        "all but cancels."
     )
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

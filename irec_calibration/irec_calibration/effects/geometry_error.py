@@ -16,9 +16,10 @@ class GeometryError(Effect):
     id = "geometry_error"
     label = "geometry error"
     physics = (
-        "A joint's zero, the place of its axis or the axis' direction differ from the robot description: zero offset (zero_k), displacement "
-        "(x_k, y_k, z_k) and tilt (tilt_ka, tilt_kb) in the frame that turns with the joint. Exact forward kinematics in absolute sessions, "
-        "their derivative in loaded ones, where it shows in proportion to the commanded displacement only."
+        "A joint's zero, the place of its axis or the axis' direction differ from the robot description: zero offset "
+        "(zero_k), displacement (x_k, y_k, z_k) and tilt (tilt_ka, tilt_kb) in the frame that turns with the joint. Exact "
+        "forward kinematics in absolute sessions, their derivative in loaded ones, where it shows in proportion to the "
+        "commanded displacement only."
     )
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

@@ -14,10 +14,10 @@ class JointSettling(Effect):
     id = "joint_settling"
     label = "joint settling"
     physics = (
-        "The controller's joint angle was read while the arm was still creeping into place: J_k a_k times the step of joint k since the "
-        "previous row; a > 0: the arm was further along the step than reported. With travel 1 the reference of a loaded session was read too "
-        "early as well, after the travel from the pose before. Missing, the residual is proportional to the step just made, not to its sign: "
-        "it imitates backlash."
+        "The controller's joint angle was read while the arm was still creeping into place: J_k a_k times the step of "
+        "joint k since the previous row; a > 0: the arm was further along the step than reported. With travel 1 the "
+        "reference of a loaded session was read too early as well, after the travel from the pose before. Missing, the "
+        "residual is proportional to the step just made, not to its sign: it imitates backlash."
     )
     needs = ("step",)
 

@@ -17,8 +17,8 @@ class MarkerOffset(Effect):
     id = "marker_offset"
     label = "marker offset"
     physics = (
-        "The marker sits off its stated place in tool0 by d: the rotation of the tool, elastic and commanded, moves it by dtheta x R d. "
-        "Missing, the residual is proportional to the predicted rotation of the TCP."
+        "The marker sits off its stated place in tool0 by d: the rotation of the tool, elastic and commanded, moves it by "
+        "dtheta x R d. Missing, the residual is proportional to the predicted rotation of the TCP."
     )
     acts_on = "instrument"
     in_prediction = False

@@ -16,8 +16,8 @@ class MarkerPosition(Effect):
     id = "marker_position"
     label = "marker position"
     physics = (
-        "Position of each marker on its link (tool0 or base_link), relative to where the nominal robot has it. An unknown of every absolute "
-        "session whose marker is not known; it says nothing about the robot."
+        "Position of each marker on its link (tool0 or base_link), relative to where the nominal robot has it. An unknown "
+        "of every absolute session whose marker is not known; it says nothing about the robot."
     )
     acts_on = "instrument"
     in_prediction = False

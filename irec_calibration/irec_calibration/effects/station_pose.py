@@ -17,9 +17,9 @@ class StationPose(Effect):
     id = "station_pose"
     label = "station pose"
     physics = (
-        "Pose of each tracker station in base_link, relative to where the nominal robot has it: a displacement and a rotation vector w. "
-        "An unknown of every absolute session whose station is not known; it says "
-        "nothing about the robot."
+        "Pose of each tracker station in base_link, relative to where the nominal robot has it: a displacement and a "
+        "rotation vector w. An unknown of every absolute session whose station is not known; it says nothing about the "
+        "robot."
     )
     acts_on = "instrument"
     in_prediction = False

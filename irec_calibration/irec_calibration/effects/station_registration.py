@@ -17,8 +17,8 @@ class StationRegistration(Effect):
     id = "station_registration"
     label = "station registration"
     physics = (
-        "The rotation of a tracker station in base_link is off by a small rotation vector w (true = exp(w) stated). Missing, the residual "
-        "is proportional to the measured displacement and perpendicular to it."
+        "The rotation of a tracker station in base_link is off by a small rotation vector w (true = exp(w) stated). "
+        "Missing, the residual is proportional to the measured displacement and perpendicular to it."
     )
     acts_on = "instrument"
     in_prediction = False

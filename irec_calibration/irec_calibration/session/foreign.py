@@ -3,7 +3,8 @@
 
 ```yaml
 format: irec-import/1
-table: {delimiter: ";", decimal: ",", encoding: utf-8, skip_lines: 0}    # all optional; `names: [...]` where there is no header line
+table: {delimiter: ";", decimal: ",", encoding: utf-8, skip_lines: 0}    # all optional; `names: [...]` where there is no
+    header line
 session: {name: ..., kind: absolute, robot: {urdf: ur10.urdf}, noise: {...}, ...}   # session.yaml; paths relative to this file
 columns:                                       # column of the session -> where it comes from
   joint_1: {column: "shoulder_pan_joint", unit: rad}

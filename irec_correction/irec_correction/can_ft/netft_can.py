@@ -31,7 +31,8 @@ class Request(IntEnum):
 STATUS_BITS = {
     0: "watchdog", 1: "excitation voltage too high", 2: "excitation voltage too low", 3: "artificial analog ground",
     4: "supply voltage too high", 5: "supply voltage too low", 7: "EEPROM", 8: "invalid configuration",
-    11: "temperature too high", 12: "temperature too low", 14: "CAN bus", 15: "any error", 16: "threshold latched", 17: "threshold level", 31: "error",
+    11: "temperature too high", 12: "temperature too low", 14: "CAN bus", 15: "any error", 16: "threshold latched",
+    17: "threshold level", 31: "error",
 }  # fmt: skip
 NOT_AN_ERROR = frozenset({16, 17})
 LONG_FRAMES, SHORT_FRAMES = 4, 2
