@@ -35,7 +35,8 @@ PRESS_TIME = 0.6  # s in which the process force comes
 RATE_LIMIT = 0.02  # m/s, the default of limit.translation_rate
 RESOLUTION = 1e-7  # m, of RKorr on the wire
 TURNS = (  # joint angles 4, 5, 6 against HOME, rad: the tool turned to all sides, without contact
-    (0.0, 0.0, 0.0), (0.0, 0.9, 0.0), (0.0, -1.6, 0.0), (1.5, 0.8, 0.0), (-1.5, 0.8, 0.0), (0.7, -1.2, 1.5), (-0.7, -1.2, -1.5), (3.0, 0.6, 0.8),
+    (0.0, 0.0, 0.0), (0.0, 0.9, 0.0), (0.0, -1.6, 0.0), (1.5, 0.8, 0.0),
+    (-1.5, 0.8, 0.0), (0.7, -1.2, 1.5), (-0.7, -1.2, -1.5), (3.0, 0.6, 0.8),
 )  # fmt: skip
 
 

@@ -96,7 +96,8 @@ class CellSide:
 def cell_side(ros_domain, start_process):
     start_process([
         sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
-        "-p", "autostart:=true", "-p", "watch.wrench_timeout:=0.2", "-p", "watch.joints_timeout:=0.5", "-p", "filter.cutoff:=20.0",
+        "-p", "autostart:=true", "-p", "watch.wrench_timeout:=0.2", "-p", "watch.joints_timeout:=0.5",
+        "-p", "filter.cutoff:=20.0",
     ], name="correction")  # fmt: skip
     side = CellSide()
     yield side

@@ -75,7 +75,8 @@ def test_delay_is_told_as_path_and_deviation():
 
 @pytest.mark.parametrize(("make", "text"), [
     (lambda: low_pass(125.0, 2, RATE), "125 Hz"), (lambda: low_pass(20.0, 9, RATE), "order 9"),
-    (lambda: notch(200.0, 5.0, RATE), "50 Hz"), (lambda: notch(20.0, 0.1, RATE), "quality"), (lambda: Median(4, RATE), "4 samples"),
+    (lambda: notch(200.0, 5.0, RATE), "50 Hz"), (lambda: notch(20.0, 0.1, RATE), "quality"),
+    (lambda: Median(4, RATE), "4 samples"),
     (lambda: delay_cost([], float("nan"), 1.0), "numbers"),
 ])  # fmt: skip
 def test_filters_that_can_not_be_are_refused_with_the_value(make, text):

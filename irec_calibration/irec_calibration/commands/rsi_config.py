@@ -20,8 +20,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=int, default=59152, help="UDP port (default: 59152)")
     parser.add_argument("--sentype", default="IREC", help="SENTYPE, as in parameter 'sentype' (default: IREC)")
     parser.add_argument("--cycle-ms", type=int, choices=(4, 12), default=4, help="4: IPO_FAST, 12: IPO")
-    parser.add_argument("--limit-mm", type=float, default=3.5, help="limit of POSCORR, mm; more than limit.translation (default: 3.5)")
-    parser.add_argument("--limit-deg", type=float, default=0.5, help="limit of POSCORR, degrees; more than limit.rotation (default: 0.5)")
+    parser.add_argument("--limit-mm", type=float, default=3.5, help="of POSCORR, above limit.translation (default: 3.5)")
+    parser.add_argument("--limit-deg", type=float, default=0.5, help="of POSCORR, above limit.rotation (default: 0.5)")
     parser.add_argument("-o", "--output", type=Path, default=Path("rsi"), help="folder (default: rsi)")
 
 
@@ -53,7 +53,8 @@ def make(address: str, port: int, sentype: str, cycle_ms: int, limit_mm: float, 
         "address": str(ip), "port": port, "sentype": sentype, "cycle": CYCLES[cycle_ms], "cycle_ms": cycle_ms,
         "timeout": TIMEOUT_PACKETS, "stop_s": TIMEOUT_PACKETS * cycle_ms / 1000, "mm": limit_mm, "deg": limit_deg,
     }  # fmt: skip
-    return {"irec_ethernet.xml": ETHERNET.format(**values), "irec_example.src": KRL.format(**values), "README.txt": README.format(**values)}
+    files = {"irec_ethernet.xml": ETHERNET, "irec_example.src": KRL, "README.txt": README}
+    return {name: text.format(**values) for name, text in files.items()}
 
 
 ETHERNET = """<?xml version="1.0" encoding="UTF-8"?>
@@ -75,7 +76,7 @@ ETHERNET = """<?xml version="1.0" encoding="UTF-8"?>
   </SEND>
   <RECEIVE>
     <ELEMENTS>
-      <!-- HOLDON="1": a late packet keeps the last correction. RKorr is absolute: 0 would make the robot jump back by all of it. -->
+      <!-- HOLDON="1": a late packet keeps the last correction. RKorr is absolute: with 0 the robot would jump back. -->
       <ELEMENT TAG="RKorr.X" TYPE="DOUBLE" INDX="1" HOLDON="1"/>
       <ELEMENT TAG="RKorr.Y" TYPE="DOUBLE" INDX="2" HOLDON="1"/>
       <ELEMENT TAG="RKorr.Z" TYPE="DOUBLE" INDX="3" HOLDON="1"/>
@@ -124,9 +125,10 @@ END
 README = """RSI link of irec
 
 1. Copy irec_ethernet.xml into the SensorInterface folder of the controller, irec_example.src into R1/Program.
-2. With RSIVisual make a context irec.rsi: ETHERNET object with ConfigFile irec_ethernet.xml, Timeout {timeout}, Precision 4; its outputs
-   1 to 6 into POSCORR with RefCorrSys ROBROOT and limits of {mm} mm and {deg} degrees, watched by POSCORRMON.
-3. On the PC: rsi_bridge with address {address}, port {port}, sentype {sentype}, cycle_ms {cycle_ms}, peer = address of the controller.
-   Its own limits (limit.translation, limit.rotation) must be below those of POSCORR, or RSI stops the robot at the first large offset.
+2. With RSIVisual make a context irec.rsi: ETHERNET object with ConfigFile irec_ethernet.xml, Timeout {timeout}, Precision 4;
+   its outputs 1 to 6 into POSCORR with RefCorrSys ROBROOT and limits of {mm} mm and {deg} degrees, watched by POSCORRMON.
+3. On the PC: rsi_bridge with address {address}, port {port}, sentype {sentype}, cycle_ms {cycle_ms},
+   peer = address of the controller. Its own limits (limit.translation, limit.rotation) must be below those of POSCORR, or
+   RSI stops the robot at the first large offset.
 4. First without force and at reduced speed (T1). This is not a safety function: the limits of the controller stay in charge.
 """
