@@ -14,7 +14,7 @@ import numpy as np
 
 from .candidates import Trial
 from .held_out import HeldOut, gain, held_out
-from .search import NATS_TO_NAME, NATS_TO_SEPARATE, Hypothesis, Search
+from .search import NATS_TO_NAME, NATS_TO_SEPARATE, Hypothesis, Search, chi2_and_expectation
 from .study import Study
 from .tool_weight import Readings
 from .unnamed import Unnamed, depends_on
@@ -25,6 +25,7 @@ SHARE_TO_NAME = 0.75  # of the explainable excess that the named effects must ex
 SHARE_OF_SECOND = 0.08  # of the excess that a second effect must bring to be named beside the first
 CHI2_SIGMAS = 5.0  # by which chi2 must exceed its expectation to say that noise does not explain the residual
 NATS_TO_BEAT = 12.0  # by which a structure without a name must beat the best effect to deny it the name (some 300 are tried)
+FEWEST_POSES = 3  # with fewer nothing can be tested on other poses, and nothing is named
 HELD_OUT_SIGMAS = 1.5  # by which the held-out loss must fall, over poses
 
 
@@ -62,7 +63,7 @@ def judge(found: Search, readings: Readings | None, check: Callable[[], None] = 
     left = tuple(search_unnamed(chosen.study if chosen else study, check))
     best_left = left[0] if left and left[0].log_evidence > NATS_FOR_STRUCTURE else None
     final = chosen.study if chosen else study
-    chi2, dof = _chi2(final)
+    chi2, dof = chi2_and_expectation(final)
     white = max(chi2 - dof - 2.0 * np.sqrt(2.0 * dof), 0.0)
     structured = 0.0 if best_left is None else max(chi2 - best_left.posterior.chi2 - best_left.block.A.shape[1], 0.0)
     remaining = max(white, structured)
@@ -78,23 +79,28 @@ def judge(found: Search, readings: Readings | None, check: Callable[[], None] = 
         return Judgement(status, None, (), left, (), float(weight_wrong), readings, base_cv, None, 0.0, "")
 
     chosen_cv = held_out(chosen.study)
-    won = max(_chi2(study)[0] - chi2, 1e-9)
+    won = max(chi2_and_expectation(study)[0] - chi2, 1e-9)
     explained = float(won / (won + remaining))
     rivals = _rivals(found, chosen)
     mean, se, _ = gain(base_cv, chosen_cv)
-    helps = not np.isfinite(mean) or "station_shift" in chosen.ids or mean > HELD_OUT_SIGMAS * se
+    enough = len(study.bench.poses) >= FEWEST_POSES
+    helps = enough and np.isfinite(mean) and ("station_shift" in chosen.ids or mean > HELD_OUT_SIGMAS * se)
     unnamed = tuple(search_unnamed(study, check))
     beaten = bool(unnamed) and unnamed[0].log_evidence > chosen.log_evidence + NATS_TO_BEAT and not _in_family(chosen, unnamed[0])
     named = helps and explained >= SHARE_TO_NAME and not beaten
-    reason = ""
-    if not named:
-        reason = (
-            "it does not help on held-out poses" if not helps else "it explains only a part" if not beaten else unnamed[0].frame
-        )
+    reason = "" if named else _why_not(enough, helps, beaten, unnamed)
     status = "missing_effect" if named else "unexplained"
     if status == "unexplained" and (beaten or not variables):
         variables = tuple(depends_on(list(unnamed), NATS_FOR_STRUCTURE)) if unnamed else ()
     return Judgement(status, chosen, rivals, left, variables, explained, readings, base_cv, chosen_cv, size, reason, unnamed)
+
+
+def _why_not(enough: bool, helps: bool, beaten: bool, unnamed: tuple[Unnamed, ...]) -> str:
+    if not enough:
+        return "there are too few poses to test it on others"
+    if not helps:
+        return "it does not help on held-out poses"
+    return f"a structure without a name fits better: {unnamed[0].frame}" if beaten else "it explains only a part"
 
 
 def _in_family(chosen: Hypothesis, other: Unnamed) -> bool:
@@ -111,7 +117,7 @@ def _choose(found: Search) -> Hypothesis | None:
     if not found.pairs:
         return best
     pair = found.pairs[0]
-    before, one, two = (_chi2(s)[0] for s in (found.study, best.study, pair.study))
+    before, one, two = (chi2_and_expectation(s)[0] for s in (found.study, best.study, pair.study))
     needed = pair.log_evidence - best.log_evidence > NATS_TO_NAME and one - two > SHARE_OF_SECOND * (before - two)
     return _by_importance(found, pair) if needed else best
 
@@ -126,16 +132,6 @@ def _rivals(found: Search, chosen: Hypothesis) -> tuple[Hypothesis, ...]:
     others = found.singles if len(chosen.added) == 1 else found.pairs
     near = [h for h in others if h.log_evidence > chosen.log_evidence - NATS_TO_SEPARATE]
     return tuple(h for h in near if set(h.ids) != set(chosen.ids))
-
-
-def _chi2(study: Study) -> tuple[float, float]:
-    """Squared residual of a fitted model and its expectation under noise alone."""
-    posterior = study.bench.posterior(study.base)
-    G = study.base.A.T @ study.base.A
-    free = (posterior.x > study.base.lower) & (posterior.x < study.base.upper)
-    F = G[np.ix_(free, free)]
-    shrunk = np.linalg.solve(F + np.diag(1.0 / study.base.width[free] ** 2), F)
-    return posterior.chi2, len(study.bench.b) - float(np.trace(shrunk))
 
 
 def p_value(trial: Trial, study: Study, tried: int) -> float:

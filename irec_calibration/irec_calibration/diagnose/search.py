@@ -19,9 +19,10 @@ from .study import Study, study_of
 
 NATS_TO_NAME = 8.0  # log evidence over the simpler model that a name needs: odds of 3000 before the number of effects is counted
 NATS_TO_SEPARATE = 5.0  # less than this between two explanations: they can't be told apart
-NATS_TO_REFIT = 25.0  # rivals this close to the best are refitted exactly
-REFITTED_AT_MOST = 6
-PAIRED_AT_MOST = 3
+NATS_TO_REFIT = 15.0  # rivals this close to the best, or within a tenth of its evidence, are refitted exactly
+REFITTED_AT_MOST = 4
+PAIRED_AT_MOST = 2
+CHI2_SIGMAS_TO_PAIR = 0.5  # a second effect is looked for where chi2 lies further above its expectation
 BASE_EFFECTS = ("joint_torsion", "link_bending")
 
 
@@ -124,12 +125,29 @@ def _refined(study: Study, trial: Trial) -> dict[str, float]:
     return shape
 
 
+def chi2_and_expectation(study: Study) -> tuple[float, float]:
+    """Squared residual of a fitted model, and its expectation under noise alone."""
+    posterior = study.bench.posterior(study.base)
+    G = study.base.A.T @ study.base.A
+    free = (posterior.x > study.base.lower) & (posterior.x < study.base.upper)
+    F = G[np.ix_(free, free)]
+    shrunk = np.linalg.lstsq(F + np.diag(1.0 / study.base.width[free] ** 2), F, rcond=None)[0]
+    return posterior.chi2, max(len(study.bench.b) - float(np.trace(shrunk)), 1.0)
+
+
+def excess(study: Study) -> float:
+    """By how many standard deviations chi2 lies above its expectation."""
+    chi2, dof = chi2_and_expectation(study)
+    return float((chi2 - dof) / np.sqrt(2.0 * dof))
+
+
 def search(study: Study, check: Callable[[], None] = lambda: None) -> Search:
     """Try all effects, refit the best ones, and try second effects on top of them."""
     trials, skipped = try_all(study, check=check)
     singles: list[Hypothesis] = []
     if trials:
-        near = [t for t in trials if t.log_evidence > max(1.0, trials[0].log_evidence - NATS_TO_REFIT)][:REFITTED_AT_MOST]
+        least = trials[0].log_evidence - max(NATS_TO_REFIT, 0.1 * trials[0].log_evidence)
+        near = [t for t in trials if t.log_evidence > max(1.0, least)][:REFITTED_AT_MOST]
         for trial in near:
             check()
             found = refit(study, study, trial)
@@ -137,7 +155,8 @@ def search(study: Study, check: Callable[[], None] = lambda: None) -> Search:
                 singles.append(replace(found, log_evidence=max(found.log_evidence, trial.log_evidence)))
     singles.sort(key=lambda h: -h.log_evidence)
     pairs: list[Hypothesis] = []
-    for single in [h for h in singles if h.log_evidence > NATS_TO_NAME][:PAIRED_AT_MOST]:
+    leave_something = bool(singles) and excess(singles[0].study) > CHI2_SIGMAS_TO_PAIR
+    for single in [h for h in singles if h.log_evidence > NATS_TO_NAME][: PAIRED_AT_MOST if leave_something else 0]:
         seconds, _ = try_all(single.study, check=check)
         for trial in [t for t in seconds[:2] if t.log_evidence > NATS_TO_NAME]:
             check()

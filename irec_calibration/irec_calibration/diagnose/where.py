@@ -60,7 +60,8 @@ def views(observation: Observation, residual: Array, predicted: Array) -> tuple[
         corrected = min(1.0, p * len(sides))
         share = found / total if total > 0.0 else 0.0
         # what as many columns would catch of plain noise
-        share = max(0.0, (share - Q.shape[1] / r.size) / (1.0 - Q.shape[1] / r.size))
+        by_noise = min(Q.shape[1] / r.size, 0.999)
+        share = max(0.0, (share - by_noise) / (1.0 - by_noise))
         out.append(_view(side, residual, share, corrected))
     out.append(_worst_pose(observation, residual))
     return tuple(sorted(out, key=lambda v: (v.p_value > SIGNIFICANT, -v.share)))

@@ -14,6 +14,9 @@ from .search import NATS_TO_NAME, Search
 from .study import Study
 
 
+FEW_POSES = 5
+
+
 def um(metres: float) -> str:
     """A length in um for a sentence."""
     return f"{1e6 * metres:.1f} um" if np.isfinite(metres) else "unknown"
@@ -59,8 +62,14 @@ def put_in_words(
             parts.append(f"Measuring load case {m.load_case} at {at} would part them by {um(m.difference_m)}.")
     if np.isfinite(flexible) and verdict.status != "adequate" and flexible > 0.0:
         parts.append(f"A flexible regression could remove another {um(flexible)} at most on held-out poses.")
-    if poses < 5:
-        parts.append(f"With {poses} pose(s) little can be told apart: measure more poses before trusting this.")
+    if not np.any(np.abs(study.base.A) > 1e-6):
+        parts.insert(1, "Nothing in this session loads the model: it can't identify anything.")
+    if poses < FEW_POSES or study.fit.dof < study.fit.rank:
+        cases = len(np.unique(study.session.load_case[study.observation.rows]))
+        parts.append(
+            f"{poses} pose(s) with {cases} load case(s) determine {study.fit.rank} combinations of parameters with"
+            f" {study.fit.dof} equations to spare: too little to find a missing effect. Measure more poses."
+        )
     return Verdict(
         status=verdict.status,
         text=" ".join(parts),
