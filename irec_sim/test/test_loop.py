@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from irec_sim.nodes.loop import SimulationLoop
+from irec_sim.errors import SimError
+from irec_sim.nodes.loop import MIN_SLEEP, SimulationLoop
 
 PATIENCE = 10.0  # s
 
@@ -52,7 +53,7 @@ def test_the_simulation_is_never_faster_than_its_speed(running: Callable[..., tu
     begin = time.monotonic()
     counter, _ = running(2.0)
     wait(lambda: counter.steps >= 100)
-    assert time.monotonic() - begin >= 99 * 0.004 / 2.0
+    assert time.monotonic() - begin >= 99 * 0.004 / 2.0 - MIN_SLEEP
 
 
 def test_everything_said_is_sent_while_the_simulation_waits_for_a_follower(
@@ -94,3 +95,5 @@ def test_an_error_of_a_step_ends_the_simulation_and_is_kept(running: Callable[..
     _, loop = running(1.0, fail)
     wait(lambda: loop.failure is not None)
     assert str(loop.failure) == "no equilibrium"
+    with pytest.raises(SimError, match="ended"):
+        loop.call(lambda: None)

@@ -16,6 +16,7 @@ from typing import Any
 import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -165,7 +166,7 @@ def main() -> int:
         finally:
             if node.recording:
                 print(f"recorder: {node.stop()}", file=sys.stderr)
-    except RecordingError as error:
+    except (RecordingError, ParameterException) as error:
         print(f"recorder: {error}", file=sys.stderr)
         return 2
     finally:

@@ -16,6 +16,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion, Vector3, Wrench, WrenchStamped
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -223,16 +224,17 @@ class CellNode(Node):
         return self.declare_parameter(name, default, ParameterDescriptor(description=description)).value
 
     def _number(self, name: str, default: float, description: str) -> float:
-        value = float(self._declared(name, default, description))
+        descriptor = ParameterDescriptor(description=description, dynamic_typing=True)  # 2 as well as 2.0
+        value = self.declare_parameter(name, default, descriptor).value
         problem = _problem(name, value)
         if problem:
             raise SimError(problem)
-        return value
+        return float(value)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:
             if parameter.name == "speed_factor":
-                problem = _problem(parameter.name, float(parameter.value))
+                problem = _problem(parameter.name, parameter.value)
                 if problem:
                     return SetParametersResult(successful=False, reason=problem)
                 self.loop.speed = float(parameter.value)
@@ -255,8 +257,10 @@ def _point(station: str, v: list[float]) -> PointStamped:
     return PointStamped(header=Header(frame_id=station), point=Point(x=v[0], y=v[1], z=v[2]))
 
 
-def _problem(name: str, value: float) -> str:
-    """Why a number can't be the value of a parameter; empty where it can."""
+def _problem(name: str, value: Any) -> str:
+    """Why this can't be the value of a numeric parameter; empty where it can."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return f"parameter '{name}' is {value!r}; a number is needed"
     if name.startswith("rate."):
         return "" if 0.0 <= value <= 250.0 else f"parameter '{name}' is {value:g} Hz; 0 to 250 Hz are possible"
     return "" if 0.0 < value < 1000.0 else f"parameter '{name}' is {value:g}; a number above 0 and below 1000 is needed"
@@ -280,7 +284,7 @@ def main() -> int:
         course_thread.join(2.0 * SPIN_TIME)
         if node.loop.failure is not None:
             raise node.loop.failure
-    except SimError as error:
+    except (SimError, ParameterException) as error:
         print(f"cell: {error}", file=sys.stderr)
         return 2
     finally:

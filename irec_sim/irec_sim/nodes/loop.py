@@ -7,14 +7,16 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from typing import Any
+
+from ..errors import SimError
 
 MIN_SLEEP = 2e-3  # s; being ahead of the clock by less is not worth a sleep
 MAX_HOLD = 4e-3  # s of the machine's clock for which what a step has to say may wait for the next steps
 FOLLOWER_POLL = 5e-4  # s
 MAX_BACKLOG = 0.1  # s of the machine's clock; time lost beyond this is given up, not caught up in a burst
-CALL_TIMEOUT = 10.0  # s of the machine's clock that `call` waits for the plant
+CALL_CHECK = 0.5  # s of the machine's clock after which a waiting call looks whether there still is a simulation
 
 
 class SimulationLoop:
@@ -46,15 +48,22 @@ class SimulationLoop:
     def stop(self) -> None:
         """Stop after the step under way."""
         self._stop.set()
-        self._thread.join(CALL_TIMEOUT)
+        self._thread.join()
 
     def call(self, function: Callable[[], Any]) -> Any:
-        """Run a function between two steps and return its result; what it raises is raised here."""
+        """Run a function between two steps and return its result; what it raises is raised here.
+
+        Raises:
+            SimError: the simulation has ended.
+        """
         if threading.current_thread() is self._thread:
             return function()
         future: Future[Any] = Future()
         self._calls.put((function, future))
-        return future.result(CALL_TIMEOUT)
+        while self._thread.is_alive():
+            if wait([future], CALL_CHECK).done:
+                return future.result()
+        raise SimError("the simulation has ended")
 
     def _run(self) -> None:
         try:
