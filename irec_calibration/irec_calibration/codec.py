@@ -22,7 +22,7 @@ import numpy as np
 
 from .bounded import solve_bounded_gram
 from .errors import PlanError, SolveError
-from .identify import fit, free_regressors, linearise, observe_with_force_noise
+from .identify import free_regressors, identify, linearise
 from .model import Term, total_displacement
 from .noise import Whitening
 from .observe import Observation
@@ -114,12 +114,13 @@ def pose_data(session: Session, terms: Sequence[Term], train_cases: Sequence[int
     Raises:
         SolveError: no row has one of the load cases, or the model can't be identified from this session.
     """
-    observation = observe_with_force_noise(session, terms)
-    fitted = fit(terms, observation).terms
+    whole = identify(session, terms)
+    observation, fitted = whole.observation, whole.terms
+    session = observation.session
     system = linearise(fitted, observation)
     scaled = np.concatenate(free_regressors(fitted, observation.scene), axis=2)
     A = observation.of(scaled) * system.scale
-    at = [fitted[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)]
+    at = [fitted[i].theta([p])[0] for i, p in zip(system.owner, system.parameters, strict=True)]
     y = observation.y - observation.of(total_displacement(fitted, observation.scene)) + A @ (np.array(at) / system.scale)
 
     trains = np.ones(len(observation.rows), dtype=bool)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from irec_calibration.absolute import base_terms
 from irec_calibration.cli import main
 from irec_calibration.codec import RIDGE, pose_data, run_codec, split_sizes
 from irec_calibration.errors import PlanError, SolveError
@@ -179,6 +180,26 @@ def test_growth_can_be_followed_while_poses_come_in():
 def test_growth_is_not_judged_from_four_poses():
     with pytest.raises(PlanError, match="4 are needed: measure more poses"):
         growth_so_far(session(4), SIX)
+
+
+def absolute_session(poses=30):
+    """A plain tracker calibration of the synthetic robot: joint zeros off by up to 1 mrad, the station placed roughly."""
+    rng = np.random.default_rng(0)
+    blank = session(poses)
+    first = blank.select(blank.load_case == 0)
+    true = first.robot.kinematics(first.q + np.array([0.0, 4e-4, -1e-3, 7e-4, -5e-4, 0.0]))
+    station = replace(first.stations[0], known=False)
+    p_marker = true.p_tcp + true.R_tool @ np.array(first.markers[0].xyz) - np.array(station.xyz) + np.array([1e-3, -2e-3, 1e-3])
+    p_marker = p_marker @ station.R_in_base + 1e-5 * rng.normal(size=p_marker.shape)
+    none = np.zeros_like(p_marker)
+    return replace(first, kind="absolute", stations=(station,), p_marker_in_station=p_marker, force_in_tool=none)
+
+
+def test_an_absolute_session_has_its_chart_too():
+    codec = run_codec(pose_data(absolute_session(), base_terms()))
+    assert codec.poses == 30 and codec.norm_mean.shape == (30, 21)
+    assert codec.norm_mean[:, -1].mean() == pytest.approx(codec.floor_mean, rel=0.35)
+    assert codec.norm_mean[:, 4].mean() > 2 * codec.norm_mean[:, -1].mean()
 
 
 def run(tmp_path, *arguments):

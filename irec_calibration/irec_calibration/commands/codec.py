@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..absolute import base_terms
 from ..codec import TRAIN_TO_TEST, Codec, pose_data, run_codec
 from ..codec_charts import save_arrays, save_chart, save_table
 from ..errors import IrecError, PlanError
@@ -38,7 +39,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--model",
         action="append",
         metavar="MODEL",
-        help="6, 18, effect ids with commas between, or a model file (default: 18); twice with --compare model",
+        help="6, 18, geometric, effect ids with commas between, or a model file; twice with --compare model (default: 18, for "
+        "absolute sessions geometric)",
     )
     parser.add_argument("--normal-case", type=int, default=1, help="the normal load case, for --compare load-cases (default: 1)")
     parser.add_argument("--combinations", type=int, help="N_cv (default: as many as poses, which is the most)")
@@ -111,17 +113,21 @@ def _codecs(session: Session, args: argparse.Namespace) -> list[Codec]:
     if args.compare == "model":
         if len(models) == 1:
             raise PlanError("--compare model takes --model twice, or not at all for 6 against 18 degrees of freedom")
+        if not models and session.kind == "absolute":
+            raise PlanError("--compare model on an absolute session needs --model twice: 6 against 18 DOF is for loaded ones")
         first, second = models or ["6", "18"]
         return [
             run_codec(pose_data(session, _terms(m, session)), method=args.method, label=_label(m), **options)
             for m in (second, first)
         ]
-    model = models[0] if models else "18"
+    model = models[0] if models else ("18" if session.kind == "loaded" else "geometric")
     terms = _terms(model, session)
     if args.compare == "pose-search":
         data = pose_data(session, terms)
         return [run_codec(data, method=method, label=method, **options) for method in ("cover", "ioops")]
     if args.compare == "load-cases":
+        if session.kind == "absolute":
+            raise PlanError("--compare load-cases needs a loaded session, this one is absolute")
         normal = session.case_name(args.normal_case)
         every = run_codec(pose_data(session, terms), method=args.method, label="all load cases", **options)
         only = pose_data(session, terms, [args.normal_case])
@@ -138,6 +144,8 @@ def _terms(model: str, session: Session) -> Sequence[Term]:
 
 
 def _blank(model: str) -> Sequence[Term]:
+    if model == "geometric":
+        return base_terms()
     if model in ("6", "18"):
         return blank_model(SIX_DOF if model == "6" else EIGHTEEN_DOF)
     return blank_model([effect.strip() for effect in model.split(",")])
