@@ -22,7 +22,7 @@ class InstrumentSettings:
     Attributes:
         force_noise: N per sample and axis; torque_noise: N m; force_bias: N, of the raw reading; force_drift: N in 10 min.
         encoder_noise: rad per sample.
-        tracker_white, tracker_slow: per sample, as shares of the data sheet's standard deviation; slow: air, over 20 s.
+        tracker_white, tracker_slow: per sample, as shares of the data sheet's standard deviation; slow: air, over 10 s.
         force_delay, tracker_delay: s; the stamp is that of the reading.
         dropout: probability per tracker sample that a drop-out begins; dropout_time: its mean length, s.
     """
@@ -32,8 +32,8 @@ class InstrumentSettings:
     force_bias: tuple[float, ...] = (18.0, -11.0, 25.0, 1.2, -0.8, 0.5)
     force_drift: float = 0.5
     encoder_noise: float = 5e-7
-    tracker_white: float = 0.8
-    tracker_slow: float = 0.6
+    tracker_white: float = 0.44
+    tracker_slow: float = 0.9
     force_delay: float = 0.0
     tracker_delay: float = 0.0
     dropout: float = 1e-4
@@ -96,7 +96,7 @@ class Noise:
         self.settings, self._force, self._encoder, self._tracker = settings, force, encoder, tracker
         self.temperature = temperature
         self.drop_outs = [DropOuts(settings.dropout, settings.dropout_time, drop) for _ in range(stations)]
-        self._air = [SlowNoise(20.0, 3, slow) for _ in range(stations)]
+        self._air = [SlowNoise(10.0, 3, slow) for _ in range(stations)]
         self._bias = SlowNoise(600.0, 6, slow)
         self._joints = joints
 
