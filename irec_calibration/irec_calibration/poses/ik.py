@@ -14,6 +14,7 @@ from ..robot import Robot
 from ..typing import Array, BoolArray
 
 _MAX_STEPS = 60
+_NEARBY_STEPS = 15  # from joint angles that are near the solution
 _LARGEST_STEP = 0.35  # rad (or m) per iteration and joint
 _ANGLE_WEIGHT = 0.5  # m per rad: what an error of direction counts against one of position
 _CONVERGED = 1e-9  # m (or weighted rad)
@@ -96,6 +97,36 @@ def solve_tool_axis(chain: Chain, p: Array, z: Array, start: Array) -> tuple[Arr
         step = np.einsum("nij,ni->nj", J, np.linalg.solve(JJ, error[:, :, None])[:, :, 0])
         largest = np.abs(step).max(axis=1)
         q[active] += step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None]
+    return q, converged
+
+
+def solve_pose(chain: Chain, p: Array, R: Array, start: Array) -> tuple[Array, BoolArray]:
+    """Joint angles for poses of tool0 near known ones.
+
+    Args:
+        p: wanted TCP in base_link, shape (n, 3), m. R: wanted rotation of tool0 into base_link, (n, 3, 3).
+        start: joint angles nearby, shape (n, k), rad.
+
+    Returns:
+        joint angles (n, k), not wrapped to any limit, and whether each has converged to 1e-9 m (n,).
+    """
+    q = start.copy()
+    converged = np.zeros(len(q), dtype=bool)
+    active = np.arange(len(q))
+    for _ in range(_NEARBY_STEPS):
+        p_now, R_now, J = chain.forward(q[active])
+        E = R[active] @ R_now.swapaxes(1, 2)
+        turn = 0.5 * np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]], axis=1)
+        error = np.concatenate([p[active] - p_now, _ANGLE_WEIGHT * turn], axis=1)
+        done = np.linalg.norm(error, axis=1) < _CONVERGED
+        converged[active[done]] = True
+        active, J, error = active[~done], J[~done], error[~done]
+        if len(active) == 0:
+            break
+        J[:, 3:] *= _ANGLE_WEIGHT
+        JJ = J @ J.swapaxes(1, 2) + 1e-12 * np.eye(6)
+        step = np.einsum("nij,ni->nj", J, np.linalg.solve(JJ, error[:, :, None])[:, :, 0])
+        q[active] += step * np.minimum(1.0, _LARGEST_STEP / np.maximum(np.abs(step).max(axis=1), 1e-12))[:, None]
     return q, converged
 
 

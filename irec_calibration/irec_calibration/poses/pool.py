@@ -17,7 +17,7 @@ from ..errors import PlanError
 from ..robot import Kinematics
 from ..surface import SurfacePoints
 from ..typing import Array, BoolArray, IntArray
-from .ik import Chain, solve_tool_axis, wrap_into_limits
+from .ik import Chain, solve_pose, solve_tool_axis, wrap_into_limits
 
 # In the order of the checks; a candidate is counted under the last one that any of its attempts got to.
 REASONS = {
@@ -29,9 +29,12 @@ REASONS = {
     "clearance": "tool or arm would touch the tooling",
     "line_of_sight": "no tracker station sees the marker",
     "torque": "a load case needs more than the continuous torque of an axis",
+    "approach": "the approach pose is out of reach or outside the joint limits",
+    "way": "on the way from HOME to the approach pose the tool would come too close to the tooling",
 }
 _ATTEMPTS = 24
 _ACCEPTED = len(REASONS)
+_WAY_STEPS = 10  # configurations between HOME and an approach pose that are checked
 
 
 @dataclass(frozen=True)
@@ -207,11 +210,34 @@ class Checker:
         }
         for name, fails in failures.items():  # last to first: the first failure of each row remains
             result[fails] = names.index(name)
+        good = np.flatnonzero(result == _ACCEPTED)
+        q_approach, reached = self.approach(q[good], kin.p_tcp[good], kin.R_tool[good])
+        result[good[~reached]] = names.index("approach")
+        blocked = reached & self._way_touches(q_approach, rail[good])
+        result[good[blocked]] = names.index("way")
         return result, station, kin
 
-    def touches(self, q: Array, rail: Array) -> BoolArray:
-        """Whether tool or arm come too close to the tooling at q (n, k) with the rail at (n,), shape (n,)."""
-        return self._touches(self.cell.robot.kinematics(q), self.cell.base_in_cell(rail))
+    def approach(self, q: Array, p_tcp: Array, R_tool: Array) -> tuple[Array, BoolArray]:
+        """Joint angles of the approach poses of contacts q (n, k), and whether the robot reaches them, (n,)."""
+        robot = self.cell.robot
+        found, converged = solve_pose(self.chain, p_tcp - self.cell.approach_distance * R_tool[:, :, 2], R_tool, q)
+        margin = np.where(robot.is_prismatic, 0.0, self.cell.joint_margin)
+        return found, converged & ((found >= robot.lower + margin) & (found <= robot.upper - margin)).all(axis=1)
+
+    def _way_touches(self, q_approach: Array, rail: Array) -> BoolArray:
+        """Whether the tool comes too close to the tooling between HOME and approach, wherever the rail comes from, (n,)."""
+        cell = self.cell
+        share = np.linspace(0.0, 1.0, _WAY_STEPS)[:, None]
+        q = (cell.home + share[:, :, None] * (q_approach - cell.home)).reshape(-1, cell.robot.n_joints)
+        p, R, _ = self.chain.forward(q)
+        hull = p[:, None] + np.einsum("nij,sj->nsi", R, cell.hull[:, :3])
+        starts = [rail] if cell.rail is None else [rail, cell.rail.lower, cell.rail.upper]
+        touches = np.zeros(len(rail), dtype=bool)
+        for start in starts:
+            base = cell.base_in_cell((start + share * (rail - start)).ravel())
+            near = self._tooling.query(hull + base[:, None])[0] < cell.hull[:, 3] + cell.clearance
+            touches |= near.any(axis=1).reshape(_WAY_STEPS, -1).any(axis=0)
+        return touches
 
     def _singular(self, kin: Kinematics) -> BoolArray:
         angular = np.where(kin.is_prismatic[:, None], 0.0, kin.axis)
