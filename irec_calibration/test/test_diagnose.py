@@ -11,8 +11,6 @@ from functools import cache
 import numpy as np
 import pytest
 import synthetic
-from numpy.typing import NDArray
-
 from irec_calibration.diagnose import Diagnosis, add_effect, diagnose, improve, remove_effect, start_terms
 from irec_calibration.diagnose.evidence import Block
 from irec_calibration.diagnose.held_out import held_out
@@ -25,6 +23,7 @@ from irec_calibration.model import EIGHTEEN_DOF, Model, blank_model
 from irec_calibration.model_file import load_model, save_model
 from irec_calibration.scene import Scene, scene_of
 from irec_calibration.session import Session
+from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 POSES = 20

@@ -13,7 +13,6 @@ from .result import Candidate, Comparison, Measurement, Verdict
 from .search import NATS_TO_NAME, Search
 from .study import Study
 
-
 FEW_POSES = 5
 
 
