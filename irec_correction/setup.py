@@ -8,7 +8,8 @@ NAME = "irec_correction"
 setup(
     name=NAME,
     version="0.1.0",
-    description="Real-time correction of robot deflection under process forces: wrench conditioning, offsets, limits, RSI and CAN.",
+    description="Real-time correction of robot deflection under process forces: "
+    "wrench conditioning, offsets, limits, RSI and CAN.",
     maintainer="irec maintainers",
     maintainer_email="maintainers@irec.example.org",
     license="Apache-2.0",

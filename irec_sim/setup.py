@@ -8,7 +8,8 @@ NAME = "irec_sim"
 setup(
     name=NAME,
     version="0.1.0",
-    description="Stand-in for robot, cell and instruments: elastic plant, contact, servo, force sensor, laser tracker, hidden truths.",
+    description="Stand-in for robot, cell and instruments: "
+    "elastic plant, contact, servo, force sensor, laser tracker, hidden truths.",
     maintainer="irec maintainers",
     maintainer_email="maintainers@irec.example.org",
     license="Apache-2.0",

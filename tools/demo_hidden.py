@@ -30,12 +30,16 @@ RUNS = {"without": "no correction", "old": "18-DOF model", "new": "improved mode
 
 def main() -> int:
     """Run the story; 0 if it went through, 2 if not."""
-    parser = argparse.ArgumentParser(description="Find a hidden effect of the simulated AFP cell, add it, drive the course again.")
+    parser = argparse.ArgumentParser(
+        description="Find a hidden effect of the simulated AFP cell, add it, drive the course again."
+    )
     parser.add_argument("--out", type=Path, default=OUT, help="folder for results (default: out/demo-hidden)")
     parser.add_argument("--cell", type=Path, default=demo.ROOT / "config" / "cells" / "afp.yaml", help="cell file")
     parser.add_argument("--truth", type=Path, default=TRUTH, help="truth file, read by the simulated cell only")
     parser.add_argument("--poses", type=int, default=demo.N_POSES, help=f"number of engagement poses (default: {demo.N_POSES})")
-    parser.add_argument("--speed", type=float, default=demo.SPEED, help=f"simulated seconds per second, at most (default: {demo.SPEED:g})")
+    parser.add_argument(
+        "--speed", type=float, default=demo.SPEED, help=f"simulated seconds per second, at most (default: {demo.SPEED:g})"
+    )
     return demo.guarded(parser.parse_args(), _run)
 
 
@@ -98,8 +102,8 @@ def _tell(args: argparse.Namespace, out: Path, ladder: Any, session: Any, course
         {RUNS[n]: c.way for n, c in driven.items()}, {RUNS[n]: abs(c.lateral) for n, c in driven.items()}, cell.tolerance,
         out / "course.png", title="Lateral deviation along the loaded course",
     )  # fmt: skip
-    rows = [[RUNS[n], *(f"{deviation[n][k]:.3f}" for k in ("mean", "max", "std")), *(f"{total[n][k]:.3f}" for k in ("mean", "max"))]
-            for n in RUNS]  # fmt: skip
+    rows = [[RUNS[n], *(f"{deviation[n][k]:.3f}" for k in ("mean", "max", "std")),
+             *(f"{total[n][k]:.3f}" for k in ("mean", "max"))] for n in RUNS]  # fmt: skip
     header = ["run", "lateral mean [mm]", "max", "std", "total mean [mm]", "max"]
     section = Section(
         "The course driven again",
@@ -122,7 +126,10 @@ def _tell(args: argparse.Namespace, out: Path, ladder: Any, session: Any, course
         },
         "verdict": {"status": ladder.before.verdict.status, "effects": list(ladder.before.verdict.effects)},
         "wall_s": progress.finish(),
-        "files": {p.stem: os.path.relpath(p, out) for p in (*files, out / "model_improved.yaml", out / "model.yaml", out / "session.mcap")},
+        "files": {
+            p.stem: os.path.relpath(p, out)
+            for p in (*files, out / "model_improved.yaml", out / "model.yaml", out / "session.mcap")
+        },
     }
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(f"\n  {'held-out error':34} {'um':>8}")

@@ -65,8 +65,8 @@ def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observ
     scene = observation.scene
     placing = [replace(t, estimates={}) for t in terms if t.effect.registers]
     geometry = replace(terms[index], estimates={})
-    # where the model has the marker, not where it was measured: else errors of the geometry pass for a difference between a turned
-    # station and a turned first axis
+    # where the model has the marker, not where it was measured: else errors of the geometry pass for a difference between a
+    # turned station and a turned first axis
     blocks = regressors([*placing, geometry], replace(scene, measured_from_station=scene.modelled_from_station))
     scale = np.array([p.scale for t in (*placing, geometry) for p in t.effect.parameters(scene)])
     A = observation.whiten(observation.of(np.concatenate(blocks, axis=2)) * scale).reshape(-1, len(scale))

@@ -14,7 +14,8 @@ from .errors import SessionError
 from .typing import Array
 
 OPERATORS: dict[type[ast.AST], Callable[..., Array]] = {
-    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.USub: np.negative, ast.UAdd: np.positive,
+    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide,
+    ast.USub: np.negative, ast.UAdd: np.positive,
 }  # fmt: skip
 STEP = 1e-6  # rad
 

@@ -203,7 +203,8 @@ def _nonlinear(term: Term, observation: Observation) -> bool:
     """Whether the displacement of a term is not simply regressor times values."""
     scene = observation.scene
     theta = term.theta(term.effect.parameters(scene))
-    by_regressor = term.effect.regressor(scene, theta) @ np.where([bool(p.grid) for p in term.effect.parameters(scene)], 0.0, theta)
+    on_grid = [bool(p.grid) for p in term.effect.parameters(scene)]
+    by_regressor = term.effect.regressor(scene, theta) @ np.where(on_grid, 0.0, theta)
     return not np.allclose(by_regressor, term.effect.displacement(scene, theta), rtol=1e-9, atol=1e-12)
 
 
@@ -323,7 +324,8 @@ def without_outliers(observation: Observation, terms: Sequence[Term]) -> Observa
         return observation
     named = ", ".join(map(str, observation.pose[~kept][:10].tolist())) + (", .." if (~kept).sum() > 10 else "")
     note = (
-        f"{(~kept).sum()} of {len(kept)} rows are outliers (residual {1e3 * np.linalg.norm(residual[~kept], axis=1).min():.2f} mm or more,"
+        f"{(~kept).sum()} of {len(kept)} rows are outliers "
+        f"(residual {1e3 * np.linalg.norm(residual[~kept], axis=1).min():.2f} mm or more,"
         f" median {1e3 * np.median(np.linalg.norm(residual, axis=1)):.2f} mm) and left out: pose {named}"
     )
     return noted(observation.only(kept), note)
@@ -367,8 +369,8 @@ def held_out_residual(terms: Sequence[Term], observation: Observation, folds: in
     scene = observation.scene
     system = linearise(terms, observation)
     A = observation.of(np.concatenate([b for b in free_regressors(terms, scene)], axis=2)) * system.scale
-    x_0 = np.array([terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)]) / system.scale
-    x_0 -= system.centre
+    theta_0 = np.array([terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)])
+    x_0 = theta_0 / system.scale - system.centre
     base = observation.y - observation.of(total_displacement(terms, scene))
     residual = np.empty_like(base).reshape(-1)
     for held in pose_folds(observation, folds):

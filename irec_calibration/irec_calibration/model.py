@@ -82,7 +82,9 @@ class Combination:
     se: float
 
     def __str__(self) -> str:
-        parts = [f"{'-' if w < 0 else '+'} {'' if abs(abs(w) - 1) < 1e-6 else f'{abs(w):.3g} '}{n}" for n, w in self.weights.items()]
+        parts = [
+            f"{'-' if w < 0 else '+'} {'' if abs(abs(w) - 1) < 1e-6 else f'{abs(w):.3g} '}{n}" for n, w in self.weights.items()
+        ]
         return " ".join(parts).removeprefix("+ ") + f" = {self.value:.4g} (std. error {self.se:.2g})"
 
 

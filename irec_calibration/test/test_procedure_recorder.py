@@ -25,7 +25,8 @@ def write_pose(r: SessionRecorder, pose: int, cases: int = 5, complete: bool = T
         force = [0.0, 0.0, 0.0] if j == 0 else CELL.forces_in_tool[j - 1].tolist()
         data = record_message.encode(
             stamp_ns=0, time=time + pose + 0.1 * j, pose=pose, load_case=j, repeat=0,
-            joint_names=[*CELL.robot.joint_names, "ext_rail"], joint_position=[*CELL.home.tolist(), 0.1 * pose], joint_target=[], p_tcp_in_base=[1.0, 0.0, 1.0],
+            joint_names=[*CELL.robot.joint_names, "ext_rail"], joint_position=[*CELL.home.tolist(), 0.1 * pose],
+            joint_target=[], p_tcp_in_base=[1.0, 0.0, 1.0],
             p_marker_in_station=[3.0, 0.0, 1e-6 * j], marker="", station="A", wrench_in_tool=[*force, 0.0, 0.0, 0.0],
             temperature_names=["temp_ambient"], temperature=[20.0],
         )  # fmt: skip

@@ -9,7 +9,6 @@ from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
 
-
 AXES = ("x", "y", "z")
 
 

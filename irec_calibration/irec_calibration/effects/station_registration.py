@@ -9,7 +9,6 @@ from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
 
-
 AXES = ("x", "y", "z")
 
 
@@ -37,4 +36,6 @@ class StationRegistration(Effect):
         d = np.nan_to_num(scene.measured_from_station)
         turned = np.stack([-np.cross(e, d) for e in np.eye(3)], axis=2)
         known = [s for s in range(len(scene.stations)) if scene.station_known[s]]
-        return np.concatenate([turned * (scene.station == s)[:, None, None] for s in known], axis=2) if known else turned[:, :, :0]
+        if not known:
+            return turned[:, :, :0]
+        return np.concatenate([turned * (scene.station == s)[:, None, None] for s in known], axis=2)

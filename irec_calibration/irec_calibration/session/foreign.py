@@ -202,7 +202,8 @@ def _read(profile: Profile, table: Path) -> tuple[list[str], list[tuple[int, lis
     for line, fields in lines:
         if len(fields) < len(names):
             raise SessionError(
-                f"{table}:{line}: {len(fields)} fields, {len(names)} columns are named (delimiter {options.get('delimiter', ',')!r})"
+                f"{table}:{line}: {len(fields)} fields, {len(names)} columns are named "
+                f"(delimiter {options.get('delimiter', ',')!r})"
             )
     return names, lines
 
