@@ -120,7 +120,7 @@ def start_nodes(processes: Processes, args: argparse.Namespace, out: Path, truth
     start("cell", "irec_sim.nodes.cell_node", {"cell": cell, "course_csv": str(out / "course.csv"), **hidden, **limits})
     start("procedure", "irec_calibration.nodes.procedure_node", {"cell": cell, "session_folder": str(out), **sim})
     folder = str(out / "calibrations")
-    start("calibration", "irec_calibration.nodes.calibration_node", {"cell": cell, "calibration_folder": folder, **sim})
+    start("calibration", "irec_calibration.nodes.calibration_node", {"cell": cell, "calibration_folder": folder})
     topics = "[joint_states, tcp_pose, wrench, tracker/point, robot/state, robot_description, irec/offset, irec/correction/state]"
     recorder = {"output": str(out / "bag"), "topics": topics, "autostart": False, **sim}
     start("recorder", "irec_calibration.nodes.recorder_node", recorder)

@@ -38,9 +38,7 @@ def generate_launch_description() -> LaunchDescription:
                 name="calibration_node",
                 namespace="",
                 output="screen",
-                parameters=[
-                    {"cell": text("cell"), "calibration_folder": text("calibration_folder"), "use_sim_time": use_sim_time}
-                ],
+                parameters=[{"cell": text("cell"), "calibration_folder": text("calibration_folder")}],
             ),
         ]
     )
