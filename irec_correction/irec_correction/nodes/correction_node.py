@@ -52,7 +52,7 @@ LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabi
 STATE_PERIOD = 0.1  # s
 EARLY = 0.75  # of a period: a wrench that comes sooner after the last tick makes none
 MISSING = 1.5  # periods without a tick: the timer makes one
-FOLLOW_EVERY = 5  # ticks
+FOLLOW_PERIOD = 0.015  # s of the cell's clock between two words to a simulated cell; by time, as a wrench may get lost
 
 
 class CorrectionNode(LifecycleNode):
@@ -83,7 +83,7 @@ class CorrectionNode(LifecycleNode):
     def _warm_up(self) -> None:
         self._offset, self._state, self._process = TransformStamped(), CorrectionState(), WrenchStamped()
         self._follower = Header(frame_id=self.get_name())
-        self._ticks = 0
+        self._followed = -1.0
         self._state_sent: tuple[float, State | None, str] = (-1.0, None, "")
 
     # -- lifecycle -----------------------------------------------------------------------------------------------------
@@ -300,8 +300,8 @@ class CorrectionNode(LifecycleNode):
         fill_wrench(self._process, stamp, out.wrench_at_tcp)
         self._process_out.publish(self._process)
         self._tell_state(now, out)
-        self._ticks += 1
-        if self._follower_out is not None and self._ticks % FOLLOW_EVERY == 0:
+        if self._follower_out is not None and not 0.0 <= now - self._followed < FOLLOW_PERIOD:
+            self._followed = now
             self._follower.stamp = stamp
             self._follower_out.publish(self._follower)
 
