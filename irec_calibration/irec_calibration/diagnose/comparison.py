@@ -17,6 +17,7 @@ from .result import Comparison
 
 DISAGREEMENT = 1e-3  # probability below which repeats are said to disagree with the data sheet
 FEWEST_REPEATS = 6
+QUIETER = 0.5  # of the stated variance: below it the residual is said to be smaller than the data sheet allows
 
 
 def compare(session: Session, terms: Sequence[Term]) -> Comparison:
@@ -53,6 +54,13 @@ def compare_observed(observation: Observation, terms: Sequence[Term], fitted: in
                 "session.yaml"
                 f" is too {'small' if ratio > 1 else 'large'}, or the history of the load matters (hysteresis)"
             )
+    variance_ratio = chi2 / max(residual.size - fitted, 1)
+    if variance_ratio < QUIETER:
+        notes.append(
+            f"the residual, {1e6 * rms:.1f} um, is well below the noise that session.yaml states, {1e6 * floor:.1f} um: the instruments "
+            "did better than their data sheet, and an effect smaller than the stated noise would not be found; state their real "
+            "repeatability under `noise`"
+        )
     case = session.load_case[observation.rows]
     return Comparison(
         rows=observation.rows,
