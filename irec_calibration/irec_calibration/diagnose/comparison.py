@@ -71,7 +71,7 @@ def compare_observed(observation: Observation, terms: Sequence[Term], fitted: in
         noise_floor_m=floor,
         repeat_floor_m=repeat_floor,
         explainable_m=float(np.sqrt(max(rms**2 - floor**2, 0.0))),
-        chi2_per_dof=chi2 / max(residual.size - fitted, 1),
+        chi2_per_dof=variance_ratio,
         by_pose={int(p): _rms(squared[observation.pose == p]) for p in observation.poses},
         by_load_case={session.case_name(int(j)): _rms(squared[case == j]) for j in np.unique(case)},
         by_axis=tuple(float(np.sqrt((residual[:, a] ** 2).mean())) for a in range(3)),  # type: ignore[arg-type]

@@ -17,7 +17,7 @@ from .data import ExternalAxis, Marker, Noise, Station
 FORMAT = "irec-session/1"
 KNOWN = {
     "format", "name", "kind", "robot", "marker_in_tool0", "stations", "noise", "load_cases", "load_case_names", "ext_axes",
-    "markers", "gravity", "payload", "joints", "clock", "inertials",
+    "markers", "gravity", "payload", "joints", "clock", "inertials", "sensor_axis_in_tool",
 }  # fmt: skip
 
 
