@@ -17,7 +17,7 @@ from .candidates import Trial, block_at, try_effect
 from .priors import FACTORS
 from .study import Study, study_of
 
-NATS_TO_NAME = 8.0  # log evidence over the simpler model that a name needs: odds of 3000 before the number of effects is counted
+NATS_TO_NAME = 6.5  # log evidence over the simpler model that a name needs: odds of 600 before the number of effects is counted
 NATS_TO_SEPARATE = 5.0  # less than this between two explanations: they can't be told apart
 NATS_TO_REFIT = 15.0  # rivals this close to the best, or within a tenth of its evidence, are refitted exactly
 REFITTED_AT_MOST = 4

@@ -97,7 +97,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     width = _widths(terms, scene)
     system = linearise(fit(terms, observation, prior_width=width).terms, observation)
     owners = [terms[i].effect.id for i in system.owner]
-    bench = Bench(system.b, system.pose)
+    bench = Bench(system.b, system.pose.astype(np.int64))
     block = Block(system.A, system.lower, system.upper, width)
     for rows in choices(owners):
         widths = block.width * rows
@@ -114,7 +114,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
         tuple(owners),
         tuple(system.parameters),
         system.scale,
-        Bench(system.b, system.pose),
+        Bench(system.b, system.pose.astype(np.int64)),
     )
 
 

@@ -16,8 +16,8 @@ class ThermalDrift(Effect):
     id = "thermal_drift"
     label = "thermal drift"
     physics = (
-        "Links and tracker stand grow while the cell warms up: v (t - t_reference), or in proportion to a logged "
-        "temperature. Missing, the residual grows with the time since the reference and is blind to force."
+        "Links and tracker stand grow while the cell warms up: v T (1 - exp(-t/T)), which is v t for a long T, or in "
+        "proportion to a logged temperature. Missing, the residual grows with the time since the reference and is blind to force."
     )
     needs = ("time",)
 
@@ -25,13 +25,23 @@ class ThermalDrift(Effect):
         out = [Parameter(f"v_{a}", "m/s", 1e-6, plausible=(-1e-4, 1e-4), group="time") for a in AXES]
         for name in usable_temperatures(scene):
             out += [Parameter(f"k_{name}_{a}", "m/K", 1e-5, plausible=(-1e-3, 1e-3), group=f"temp_{name}") for a in AXES]
-        return tuple(out)
+        return (*out, Parameter("T", "s", 1000.0, 10.0, 1e6, start=STEADY, grid=(300.0, 1000.0, 3000.0, STEADY)))
+
+    def displacement(self, scene: Scene, theta: Array) -> Array:
+        return self._columns(scene, theta[-1]) @ theta[:-1]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        drivers = [scene.stamp] + [scene.temperature[n] - REFERENCE_TEMPERATURE for n in usable_temperatures(scene)]
+        share = scene.stamp / theta[-1]
+        by_T = (-np.expm1(-share) - share * np.exp(-share))[:, None] * theta[:3]
+        return np.concatenate([self._columns(scene, theta[-1]), by_T[:, :, None]], axis=2)
+
+    def _columns(self, scene: Scene, T: float) -> Array:
+        course = -T * np.expm1(-scene.stamp / T)
+        drivers = [course] + [scene.temperature[n] - REFERENCE_TEMPERATURE for n in usable_temperatures(scene)]
         return np.concatenate([d[:, None, None] * np.eye(3) for d in drivers], axis=2)
 
 
+STEADY = 1e5  # s; a warm-up this slow is a steady drift
 REFERENCE_TEMPERATURE = 20.0  # degC, ISO 1
 
 
