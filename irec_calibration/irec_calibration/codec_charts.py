@@ -12,8 +12,8 @@ import numpy as np
 
 from .codec import Codec
 from .errors import PlanError
-from .figures import pyplot
 from .growth import Growth, growth_of
+from .report.style import pyplot
 
 _FAR_APART = 8.0  # medians that differ by more than this factor are drawn on a logarithmic axis
 _COLOURS = ("tab:blue", "tab:red", "tab:green", "tab:orange")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..cell import Cell
-from ..figures import pyplot
+from ..report.style import pyplot
 from .plan import Plan
 
 
