@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,14 +20,18 @@ pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
-from irec_calibration.cell import read_cell
-from irec_calibration.poses.plan import make_plan, pose_list
-from irec_calibration.poses.store import write_poses
-from irec_calibration.recording import BagReader
-from irec_calibration.session import read_session
 from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 
+from irec_calibration.cell import read_cell
+from irec_calibration.effects import find_effect
+from irec_calibration.model import Estimate, Model, Term
+from irec_calibration.model_file import save_model
+from irec_calibration.poses.plan import make_plan, pose_list
+from irec_calibration.poses.store import write_poses
+from irec_calibration.recalibration import Register
+from irec_calibration.recording import BagReader
+from irec_calibration.session import read_session
 from irec_msgs.action import RunProcedure
 from irec_msgs.msg import RobotState
 from irec_msgs.srv import Recalibrate, SolveCompliances
@@ -36,6 +41,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.ros
 CELL = Path(__file__).parents[2] / "config" / "cells" / "afp.yaml"
+SPRING = Term(find_effect("joint_torsion"))
 PATIENCE = 120.0  # s of the machine's clock
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
@@ -161,6 +167,31 @@ def test_a_run_through_the_nodes_gives_a_session_that_can_be_solved(
     assert not list((tmp_path / "cal").glob(f"{cell.serial}.yaml"))
 
 
+def test_a_recalibration_puts_a_better_model_in_force_and_keeps_the_old_one(
+    operator: Operator, tmp_path: Path, start_process: Start
+) -> None:
+    cell = read_cell(CELL)
+    four = write_poses(pose_list(cell, make_plan(cell, 4, pool_size=60)), tmp_path / "poses.yaml")
+    text = CELL.read_text().replace("../robots", str(CELL.parents[1] / "robots")).replace("min_poses: 12", "min_poses: 4")
+    (tmp_path / "cell.yaml").write_text(text)
+    stiff = replace(SPRING, estimates={f"c_{k}": Estimate(1e-8, lower=0.0) for k in range(1, 7)})
+    old = save_model(Model((stiff,), cell.serial, urdf_sha256=cell.robot.sha256), tmp_path / "old.yaml")
+    register = Register(tmp_path / "cal")
+    register.put_in_force(cell.serial, old, "", "M. Muster")
+    arguments = {"cell": tmp_path / "cell.yaml", "calibration_folder": tmp_path / "cal"}
+    start_process(node("irec_calibration.nodes.calibration_node", **arguments), name="calibration")
+    correction = {"cell": CELL, "autostart": "true", "use_sim_time": "true"}
+    start_process(node("irec_correction.nodes.correction_node", **correction), name="correction")
+    answer = operator.call(Recalibrate, "irec/recalibrate", operator_name="M. Muster", poses_path=str(four))
+    assert answer.success and answer.activated, answer.verdict
+    assert answer.previous_model_path == str(old)
+    assert answer.held_out_rms_old > 3 * answer.held_out_rms_new > 0
+    assert f"{1e6 * answer.held_out_rms_new:.1f} um" in answer.verdict and "now in force" in answer.verdict
+    current = register.current(cell.serial)
+    assert current is not None and str(current[0]) == answer.model_path
+    assert [e["model"] for e in register.entries(cell.serial)] == [str(old), answer.model_path]
+
+
 def test_a_cancelled_run_ends_retracted_and_goes_on_after_a_restart_without_measuring_again(
     operator: Operator, poses: Path, tmp_path: Path
 ) -> None:
@@ -199,6 +230,7 @@ def test_a_paused_run_leaves_the_contact_and_ends_complete(operator: Operator, p
         ("procedure_node", {}, "parameter 'cell' is empty"),
         ("procedure_node", {"cell": "/nowhere/cell.yaml"}, "can't read the cell file"),
         ("calibration_node", {"cell": "/nowhere/cell.yaml"}, "can't read the cell file"),
+        ("calibration_node", {"cell": "5"}, "'cell' to '5' of type 'INTEGER'"),
     ],
 )
 def test_a_node_with_a_bad_parameter_refuses_to_start_and_says_why(

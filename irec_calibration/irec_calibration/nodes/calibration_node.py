@@ -18,6 +18,7 @@ import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -279,7 +280,7 @@ def main() -> int:
             executor.spin()
         finally:
             executor.shutdown(timeout_sec=1.0)
-    except IrecError as error:
+    except (IrecError, ParameterException) as error:
         print(f"calibration_node: {error}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -19,7 +19,7 @@ from irec_msgs.msg import RobotState
 from ..procedure.recorder import SessionRecorder
 from ..procedure.settle import Streams
 
-FOLLOW_EVERY = 5  # wrenches
+FOLLOW_EVERY = 2  # wrenches
 TYPES = {
     JointState: "sensor_msgs/msg/JointState",
     PoseStamped: "geometry_msgs/msg/PoseStamped",

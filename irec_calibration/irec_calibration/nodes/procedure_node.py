@@ -19,6 +19,7 @@ from geometry_msgs.msg import Point, Vector3, Wrench
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -349,7 +350,7 @@ def main() -> int:
             executor.spin_once(timeout_sec=0.2)
             if asked_at and (node.stop("the node was stopped") or time.monotonic() - asked_at[0] > SHUTDOWN_WAIT):
                 break
-    except IrecError as error:
+    except (IrecError, ParameterException) as error:
         print(f"procedure_node: {error}", file=sys.stderr)
         return 2
     finally:
