@@ -33,8 +33,9 @@ from .model import (
     total_displacement,
 )
 from .observe import Observation, observe
+from .scene import Scene
 from .session.data import Session
-from .typing import Array, BoolArray, Json
+from .typing import Array, BoolArray, IntArray, Json
 
 STRUCTURAL_TOLERANCE = 1e-7  # singular value relative to the largest below which a direction is not observed at all
 INVISIBLE = 1e-3  # standard deviations that all samples together see of a parameter of typical size; below: not visible
@@ -72,7 +73,7 @@ class System:
     lower: Array
     upper: Array
     centre: Array
-    pose: Array
+    pose: IntArray
 
 
 @dataclass(frozen=True)
@@ -388,11 +389,11 @@ def _rms(residual: Array) -> float:
     return float(np.sqrt((residual**2).sum(axis=1).mean()))
 
 
-def free_regressors(terms: Sequence[Term], scene: object) -> list[Array]:
+def free_regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
     """Regressors of the parameters that `linearise` keeps (those without a grid), list of (n, 3, p)."""
     out = []
-    for term, block in zip(terms, regressors(terms, scene), strict=True):  # type: ignore[arg-type]
-        out.append(block[:, :, term.free(term.effect.parameters(scene))])  # type: ignore[arg-type]
+    for term, block in zip(terms, regressors(terms, scene), strict=True):
+        out.append(block[:, :, term.free(term.effect.parameters(scene))])
     return out
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from .errors import RobotError
-from .typing import Array
+from .typing import Array, BoolArray
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Kinematics:
     R_joint: Array
     p_tcp: Array
     R_tool: Array
-    is_prismatic: Array
+    is_prismatic: BoolArray
     virtual_in_joint: Array
 
     def jacobian(self, p_in_base: Array) -> Array:
@@ -151,7 +151,7 @@ class Robot:
                 raise RobotError(f"{self.source}: joint '{m.names[j]}' has {m.joints[j].nv} degrees of freedom, 1 allowed")
         return path
 
-    def _axes_in_joint(self) -> tuple[Array, Array]:
+    def _axes_in_joint(self) -> tuple[Array, BoolArray]:
         axes, prismatic = [], []
         declared = {j.get("name"): j.get("type") for j in ElementTree.fromstring(self.urdf_text).findall("joint")}
         q0 = pin.neutral(self._model)
@@ -267,7 +267,7 @@ def _orthogonal_pair(axis: Array) -> Array:
     """Two unit vectors orthogonal to a joint axis, along coordinate axes of the joint frame where that is possible."""
     axis = axis / np.linalg.norm(axis)
     dominant = int(np.argmax(np.abs(axis)))
-    pair = []
+    pair: list[Array] = []
     for other in (d for d in range(3) if d != dominant):
         e = np.zeros(3)
         e[other] = 1.0

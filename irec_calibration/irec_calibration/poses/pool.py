@@ -231,7 +231,7 @@ class Checker:
         q = (cell.home + share[:, :, None] * (q_approach - cell.home)).reshape(-1, cell.robot.n_joints)
         p, R, _ = self.chain.forward(q)
         hull = p[:, None] + np.einsum("nij,sj->nsi", R, cell.hull[:, :3])
-        starts = [rail] if cell.rail is None else [rail, cell.rail.lower, cell.rail.upper]
+        starts: list[Array | float] = [rail] if cell.rail is None else [rail, cell.rail.lower, cell.rail.upper]
         touches = np.zeros(len(rail), dtype=bool)
         for start in starts:
             base = cell.base_in_cell((start + share * (rail - start)).ravel())

@@ -152,11 +152,12 @@ def _rows(profile: Profile, table: Path) -> tuple[list[dict[str, str]], list[str
     unseen = sum(_hide_missing_marker(profile, row) for _, row in kept)
     if unseen:
         notes.append(f"the marker was not seen in {unseen} of {len(kept)} rows")
-    if profile.order_by is not None:
-        order = [row[profile.order_by] for _, row in kept]
+    by = profile.order_by
+    if by is not None:
+        order = [row[by] for _, row in kept]
         if order != sorted(order):
-            notes.append(f"rows sorted by {profile.order_by}: the table is not in that order")
-        kept.sort(key=lambda item: item[1][profile.order_by])
+            notes.append(f"rows sorted by {by}: the table is not in that order")
+        kept.sort(key=lambda item: item[1][by])
     rows = [row for _, row in kept]
     if "stamp" in profile.columns:
         start = min(row["stamp"] for row in rows)
