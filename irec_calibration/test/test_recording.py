@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from irec_calibration.errors import RecordingError
 from irec_calibration.recording import BagReader, BagWriter, TypeCatalogue
 from irec_calibration.recording.survey import survey
@@ -218,3 +220,24 @@ def test_the_survey_says_what_a_session_still_needs(tmp_path: Path, catalogue: T
     assert any("marker positions" in sentence for sentence in found.present)
     assert any("joint angles" in sentence for sentence in found.lacking)
     assert any("LoadCaseRecord" in sentence for sentence in found.lacking)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.tuples(st.floats(0.0, 0.999), st.integers(0, 255)), min_size=1, max_size=5), st.floats(0.3, 1.0))
+def test_whatever_is_wrong_with_a_file_it_is_read_or_refused_in_one_sentence(
+    tmp_path: Path, catalogue: TypeCatalogue, changes: list[tuple[float, int]], kept: float
+) -> None:
+    source = tmp_path / "whole.mcap"
+    if not source.exists():
+        record(source, catalogue, 600)
+    data = bytearray(source.read_bytes())
+    for place, value in changes:
+        data[int(place * len(data))] = value
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(data[: int(kept * len(data))])
+    try:
+        count = sum(1 for _ in BagReader(broken).messages())
+    except RecordingError as error:
+        assert "broken.mcap" in str(error)
+    else:
+        assert count <= 600

@@ -7,6 +7,7 @@ file still tells it. Nothing is guessed from half a chunk.
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
@@ -17,7 +18,6 @@ from typing import IO, Any
 import yaml
 from mcap import records
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import get_chunk_data_stream
 from mcap_ros2.decoder import DecoderFactory
@@ -26,6 +26,7 @@ from ..errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
 _PREFIX = 9  # bytes before the content of a record: opcode and length
+_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 Progress = Callable[[int, int], None]
 
 
@@ -144,6 +145,7 @@ class _File:
         self.schemas: dict[int, records.Schema] = {}
         self.channels: dict[int, Topic] = {}
         self.finished = False
+        self._span = ""  # of time, of the chunk being read
 
     def read(self, progress: Progress | None) -> Iterator[RawMessage]:
         size = self.path.stat().st_size
@@ -157,16 +159,21 @@ class _File:
                 if len(head) < _PREFIX or at + _PREFIX + length > size:
                     self._truncated(stream, at, size, head)
                     return
-                yield from self._record(head[0], stream, length, at)
+                self._span = ""
+                try:
+                    yield from self._record(head[0], stream, length)
+                except Exception as error:  # whatever parser and decompressor make of damaged bytes
+                    kind = "chunk" if head[0] == Opcode.CHUNK else "record"
+                    self._lost(f"the {kind} at byte {at} ({length} bytes{self._span}) is damaged: {error}")
                 stream.seek(at + _PREFIX + length)
                 if progress is not None and head[0] in (Opcode.CHUNK, Opcode.FOOTER):
                     progress(stream.tell(), size)
 
-    def _record(self, opcode: int, stream: IO[bytes], length: int, at: int) -> Iterator[RawMessage]:
+    def _record(self, opcode: int, stream: IO[bytes], length: int) -> Iterator[RawMessage]:
         if opcode == Opcode.CHUNK:
-            yield from self._chunk(stream.read(length), at)
+            yield from self._chunk(stream.read(length))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-            yield from self._small(opcode, ReadDataStream(BytesIO(stream.read(length))), length)
+            yield from self._small(opcode, stream.read(length))
         elif opcode == Opcode.ATTACHMENT:
             attachment = records.Attachment.read(ReadDataStream(BytesIO(stream.read(length))))
             self.bag.attachments[attachment.name] = attachment.data
@@ -178,34 +185,31 @@ class _File:
         elif opcode == Opcode.FOOTER:
             self.finished = True
 
-    def _chunk(self, content: bytes, at: int) -> Iterator[RawMessage]:
-        """Messages of one chunk; a chunk that is damaged is left out as a whole."""
-        chunk = None
-        try:
-            chunk = records.Chunk.read(ReadDataStream(BytesIO(content)))
-            data, size = get_chunk_data_stream(chunk)
-            plain = data.read(size)
-            if chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:
-                raise ValueError("its checksum does not match")
-        except (McapError, ValueError, ArithmeticError, OSError, RuntimeError, MemoryError) as error:
-            span = "" if chunk is None else _span(chunk.message_start_time, chunk.message_end_time)
-            self._lost(f"the chunk at byte {at} ({len(content)} bytes{span}) is damaged: {error}")
-            return
-        inner = ReadDataStream(BytesIO(plain))
-        while inner.count < size:
-            opcode, length = inner.read1(), inner.read8()
-            yield from self._small(opcode, ReadDataStream(BytesIO(inner.read(length))), length)
+    def _chunk(self, content: bytes) -> Iterator[RawMessage]:
+        """Messages of one chunk; of a chunk that is damaged nothing."""
+        chunk = records.Chunk.read(ReadDataStream(BytesIO(content)))
+        self._span = _span(chunk.message_start_time, chunk.message_end_time)
+        data, size = get_chunk_data_stream(chunk)
+        plain = data.read(size)
+        if chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:
+            raise ValueError("its checksum does not match")
+        place = 0
+        while place < size:
+            opcode, length = plain[place], int.from_bytes(plain[place + 1 : place + _PREFIX], "little")
+            place += _PREFIX
+            yield from self._small(opcode, plain[place : place + length])
+            place += length
 
-    def _small(self, opcode: int, data: ReadDataStream, length: int) -> Iterator[RawMessage]:
+    def _small(self, opcode: int, content: bytes) -> Iterator[RawMessage]:
         if opcode == Opcode.MESSAGE:
-            message = records.Message.read(data, length)
-            topic = self.channels.get(message.channel_id)
+            channel_id, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
+            topic = self.channels.get(channel_id)
             if topic is None:
-                self._lost(f"message {message.sequence} belongs to channel {message.channel_id}, which is not described")
+                self._lost(f"message {sequence} belongs to channel {channel_id}, which is not described")
             elif self.wanted is None or topic.name in self.wanted:
-                yield RawMessage(topic, message.log_time, message.publish_time, message.sequence, message.data)
+                yield RawMessage(topic, log_time, publish_time, sequence, content[_MESSAGE_HEAD.size :])
         elif opcode == Opcode.CHANNEL:
-            channel = records.Channel.read(data)
+            channel = records.Channel.read(ReadDataStream(BytesIO(content)))
             if channel.id not in self.channels:
                 schema = self.schemas.get(channel.schema_id)
                 extra = channel.metadata
@@ -220,7 +224,7 @@ class _File:
                 self.channels[channel.id] = topic
                 self.bag.topics.setdefault(channel.topic, topic)
         elif opcode == Opcode.SCHEMA:
-            schema = records.Schema.read(data)
+            schema = records.Schema.read(ReadDataStream(BytesIO(content)))
             self.schemas[schema.id] = schema
 
     def _statistics(self, statistics: records.Statistics) -> None:
