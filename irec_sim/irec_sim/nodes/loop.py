@@ -12,7 +12,7 @@ from typing import Any
 
 from ..errors import SimError
 
-MIN_SLEEP = 2e-3  # s; being ahead of the clock by less is not worth a sleep
+MIN_SLEEP = 1e-3  # s; being ahead of the clock by less is not worth a sleep
 MAX_HOLD = 4e-3  # s of the machine's clock for which what a step has to say may wait for the next steps
 FOLLOWER_POLL = 5e-4  # s
 MAX_BACKLOG = 0.1  # s of the machine's clock; time lost beyond this is given up, not caught up in a burst
