@@ -35,7 +35,7 @@ PROCEDURE_TIMEOUT = 600.0  # s of the machine's clock
 COURSE_TIMEOUT = 180.0
 SPEED = 6.0  # simulated seconds per second, at most
 COURSE_SPEED = 2.0  # simulated seconds per second: the correction has to keep up with 250 Hz of the cell's clock
-MAX_LEAD = 0.016  # s of the cell's clock that it may be ahead of procedure and correction: less than their watchdogs allow
+MAX_LEAD = 0.019  # s of the cell's clock that it may be ahead of procedure and correction: less than their watchdogs allow
 COURSE_TAKES = 14.0  # s of the machine's clock, about
 SIX, EIGHTEEN = ["joint_torsion"], ["joint_torsion", "link_bending"]
 
