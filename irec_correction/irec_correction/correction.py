@@ -143,6 +143,11 @@ class Correction:
         """Fade out."""
         self.supervisor.stop(now, self.present, reason)
 
+    def restart(self, now: float) -> None:
+        """The robot has begun anew and applies no offset: begin at zero, ramp in again where it was running."""
+        self.limiter.reset()
+        self.supervisor.restart_ramp(now, self.present, "the robot has begun anew")
+
     # -- inputs --------------------------------------------------------------------------------------------------------
 
     def take_wrench(self, stamp: float, now: float, frame: str, reading: Array, status: str = "") -> None:

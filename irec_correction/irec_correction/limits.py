@@ -48,6 +48,10 @@ class VectorLimiter:
         if not (math.isfinite(period) and period > 0.0):
             raise SettingsError(f"period of the correction is {period} s, it must be above 0")
         self.bounds, self.period = bounds, period
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin at zero."""
         self.value = np.zeros(3)
         self._velocity = np.zeros(3)
         self._target = np.zeros(3)
@@ -111,6 +115,11 @@ class OffsetLimiter:
     def __init__(self, limits: OffsetLimits, period: float) -> None:
         self.translation = VectorLimiter(limits.translation, period)
         self.rotation = VectorLimiter(limits.rotation, period)
+
+    def reset(self) -> None:
+        """Begin at zero: only where nobody follows the offset just now."""
+        for part in (self.translation, self.rotation):
+            part.reset()
 
     def step(self, translation: Array, rotation: Array, dt: float) -> bool:
         """One tick towards targets (3,) m and (3,) rad; dt, s. True where a limit was active."""

@@ -115,7 +115,8 @@ class Supervisor:
             self.reason = reason
 
     def restart_ramp(self, now: float, present: Array, reason: str) -> None:
-        """Another model has been put in force: blend from the present offset."""
+        """Another model has been put in force, or the robot begins anew: go on from the present offset."""
+        self._held = present.copy()
         if self.state in (State.RAMP_IN, State.ACTIVE):
             self._enter(State.RAMP_IN, now, present, reason)
 

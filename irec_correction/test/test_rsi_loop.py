@@ -115,6 +115,27 @@ def test_lost_packets_make_no_step_and_do_not_stop_the_robot(active, packets, wa
     assert active.largest_step <= STEP
 
 
+def test_a_new_session_of_the_controller_begins_at_zero_and_ramps_in(active):
+    active.controller.ipoc -= 4_000_000
+    active.drive(PERIOD)
+    assert np.linalg.norm(active.sent[-1]) == 0.0 or active.controller.counts.late_in_a_row
+    active.drive(0.02)
+    assert np.linalg.norm(active.sent[-1]) < 1e-4
+    assert active.loop.counts.restarts == 1
+    active.until(State.ACTIVE)
+    active.drive(0.05)
+    assert np.linalg.norm(active.sent[-1]) > 5e-4
+
+
+def test_after_a_silence_that_stops_rsi_the_next_session_begins_at_zero(active):
+    end = time.monotonic() + 10.0
+    while np.any(active.loop._next[0]):
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    active.drive(0.02)
+    assert np.linalg.norm(active.sent[-1]) < 1e-4
+
+
 def test_two_hundred_lost_packets_reach_the_timeout_of_the_robot(active):
     active.controller.faults.lose_answers = 200
     active.drive(1.0)
@@ -201,7 +222,7 @@ def test_given_offsets_are_followed_then_held_and_faded_when_they_stop():
         now += PERIOD
         if i < 400:
             block.write(np.array([now, 1.0, *wanted, 0, 0, 0]))
-        sent.append(source.offset(None, now)[0].copy())  # type: ignore[arg-type]
+        sent.append(source.offset(now)[0].copy())
         if i == 399:
             np.testing.assert_allclose(sent[-1], wanted, atol=1e-9)
     assert source.state is State.FAULT

@@ -84,13 +84,28 @@ def encode_reply(translation: Array, rotation: Array, ipoc: int, sentype: str = 
         translation: (3,), m; rotation: rotation vector (3,), rad; both in the frame that POSCORR is set to.
         ipoc: of the packet that is answered.
     """
+    return encode_correction(translation, rotation, sentype) + encode_ipoc(ipoc)
+
+
+def encode_correction(translation: Array, rotation: Array, sentype: str) -> bytes:
+    """An answer up to its IPOC, so that it can be ready before the packet comes."""
     x, y, z = (translation / MM).tolist()
     a, b, c = abc_of_rotation_vector(rotation)
     return (
         f'<Sen Type="{sentype}">'
         f'<RKorr X="{x:.4f}" Y="{y:.4f}" Z="{z:.4f}" A="{a / DEG:.4f}" B="{b / DEG:.4f}" C="{c / DEG:.4f}"/>'
-        f"<IPOC>{ipoc}</IPOC></Sen>"
     ).encode("ascii")
+
+
+def encode_ipoc(ipoc: int) -> bytes:
+    """The rest of an answer."""
+    return b"<IPOC>%d</IPOC></Sen>" % ipoc
+
+
+def ipoc_of(packet: bytes) -> int | None:
+    """Time stamp of a packet, ms, without reading the rest; None where it has none."""
+    found = _IPOC.search(packet)
+    return int(found[1]) if found else None
 
 
 def abc_of_rotation_vector(rotation: Array) -> tuple[float, float, float]:

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop that must answer within the controller's cycle: one thread, one socket, nothing else in its interpreter.
 
+An answer is ready before its packet comes: a quarter of a cycle ahead the newest wrench goes through the chain, and the packet only
+brings the IPOC. So the time to answer is hardly more than that of an echo, at the price of joint angles from the packet before.
+
 Late packets: when several wait in the socket, the loop was held up; only the newest is answered (the controller has counted
 the others as late already, and an answer with their IPOC would be refused). RKorr is absolute, so a lost answer costs
 nothing with HOLDON=1: the controller goes on with the last one. A packet from anybody but the peer is dropped and counted.
@@ -8,6 +11,8 @@ nothing with HOLDON=1: the controller goes on with the last one. A packet from a
 
 from __future__ import annotations
 
+import math
+import select
 import socket
 import struct
 import time
@@ -19,11 +24,13 @@ from irec_calibration.typing import Array
 
 from ..errors import CorrectionError, ProtocolError, SettingsError
 from ..shared import SharedValues
-from .codec import RobotPacket, decode_robot, encode_reply
+from .codec import RobotPacket, decode_robot, encode_correction, encode_ipoc, ipoc_of
 from .sources import OffsetSource
 
 PACKET_SIZE = 4096
 IDLE = 0.1  # s without a packet: look for commands all the same
+AHEAD = 0.25  # of a cycle by which an answer is ready before its packet
+RESTART = 150  # cycles of silence after which the controller, with its time-out of 100, has stopped RSI for sure
 KEPT = 4096  # latencies over which the report's percentiles are taken
 
 
@@ -112,6 +119,12 @@ class RsiLoop:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 0, int(IDLE * 1e6)))
         self.port = self._socket.getsockname()[1]
         self._last_ipoc: int | None = None
+        self._ready = encode_correction(np.zeros(3), np.zeros(3), link.sentype)
+        self._sent = np.zeros(3), np.zeros(3)
+        self._next = self._sent
+        self._is_ready = True
+        self._due = -math.inf
+        self._idle = 0
 
     def run(self, goes_on: Callable[[], bool]) -> None:
         """Answer until `goes_on` (asked after each packet or idle time) says no."""
@@ -119,31 +132,72 @@ class RsiLoop:
             self.once()
 
     def once(self) -> bool:
-        """Wait for one packet and answer it; False after idle time or a packet that is not answered."""
+        """Get an answer ready, wait for a packet, answer it; False after idle time or a packet that is not answered."""
+        if not self._is_ready:
+            self._get_ready()
         try:
             packet, sender = self._socket.recvfrom(PACKET_SIZE)
         except BlockingIOError:
+            self._wait_on()
             return False
         began = time.perf_counter()
         packet, sender = self._newest(packet, sender)
         if sender[0] != self.link.peer:
             self.counts.foreign += 1
             return False
+        ipoc = ipoc_of(packet)
+        if ipoc is None:
+            self.counts.bad += 1
+            return False
+        self._follow(ipoc)
+        self._socket.sendto(self._ready + encode_ipoc(ipoc), sender)
+        c = self.counts
+        c.latency[c.answered % KEPT] = time.perf_counter() - began
+        c.answered += 1
+        self._sent, self._is_ready = self._next, False
+        self._due = time.monotonic() + 1e-3 * self._cycle_ms
+        self._learn(packet)
+        return True
+
+    def _get_ready(self) -> None:
+        """Wait until shortly before the next packet, then compute. A packet that comes sooner gets the answer before again."""
+        wait = self._due - AHEAD * 1e-3 * self._cycle_ms - time.monotonic()
+        if select.select([self._socket], [], [], max(0.0, wait))[0]:
+            return
+        self._next = self.source.offset(time.monotonic())
+        self._ready = encode_correction(*self._next, self.link.sentype)
+        self._is_ready = True
+
+    def _learn(self, packet: bytes) -> None:
+        """Read the whole packet, after it has been answered."""
+        now = time.monotonic()
         try:
             state = decode_robot(packet)
         except ProtocolError:
             self.counts.bad += 1
-            return False
-        self._follow(state)
-        now = time.monotonic()
-        translation, rotation = self.source.offset(state, now)
-        self._socket.sendto(encode_reply(translation, rotation, state.ipoc, self.link.sentype), sender)
-        c = self.counts
-        c.latency[c.answered % KEPT] = time.perf_counter() - began
-        c.answered += 1
+            return
+        self.counts.late_there = state.late
+        self.source.take(state, now)
         if self._report is not None:
-            self._write_report(state, translation, rotation, now)
-        return True
+            self._write_report(state, *self._sent, now)
+
+    def _wait_on(self) -> None:
+        """No packet came: after RESTART cycles the controller has stopped RSI, and will begin without any offset.
+
+        Nothing is computed meanwhile: what would have been faded out by then would reach the robot in one step.
+        """
+        self._idle += 1
+        if self._silent:
+            self._restart()
+
+    @property
+    def _silent(self) -> bool:
+        return self._idle * IDLE > RESTART * 1e-3 * self._cycle_ms
+
+    def _restart(self) -> None:
+        self.source.restart(time.monotonic())
+        zero = np.zeros(3)
+        self._next, self._ready, self._is_ready = (zero, zero), encode_correction(zero, zero, self.link.sentype), True
 
     def _newest(self, packet: bytes, sender: tuple[str, int]) -> tuple[bytes, tuple[str, int]]:
         """The last packet of the peer that waits in the socket."""
@@ -158,15 +212,17 @@ class RsiLoop:
             self.counts.late_here += sender[0] == self.link.peer
             packet, sender = newer, who
 
-    def _follow(self, state: RobotPacket) -> None:
-        last, self._last_ipoc = self._last_ipoc, state.ipoc
-        if last is not None:
-            steps = (state.ipoc - last) / self._cycle_ms
-            if steps < 0:
-                self.counts.restarts += 1
-            elif steps > 1:
-                self.counts.lost += round(steps) - 1
-        self.counts.late_there = state.late
+    def _follow(self, ipoc: int) -> None:
+        last, self._last_ipoc = self._last_ipoc, ipoc
+        was_silent, self._idle = self._silent, 0
+        if last is None:
+            return
+        steps = (ipoc - last) / self._cycle_ms
+        if steps < 0 or was_silent:
+            self.counts.restarts += 1
+            self._restart()
+        elif steps > 1:
+            self.counts.lost += round(steps) - 1
 
     def _write_report(self, state: RobotPacket, translation: Array, rotation: Array, now: float) -> None:
         c, v = self.counts, self._values

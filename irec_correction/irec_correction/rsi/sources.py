@@ -26,7 +26,7 @@ OFFSET_SIZE = 8
 
 
 class OffsetSource(Protocol):
-    """What the loop asks once per packet."""
+    """What the loop asks. Times are CLOCK_MONOTONIC, s."""
 
     @property
     def state(self) -> State: ...
@@ -34,8 +34,16 @@ class OffsetSource(Protocol):
     @property
     def reason(self) -> str: ...
 
-    def offset(self, packet: RobotPacket, now: float) -> tuple[Array, Array]:
-        """Translation (3,), m, and rotation vector (3,), rad, to be sent; now: CLOCK_MONOTONIC, s."""
+    def take(self, packet: RobotPacket, now: float) -> None:
+        """What the controller said at `now`."""
+        ...
+
+    def offset(self, now: float) -> tuple[Array, Array]:
+        """Translation (3,), m, and rotation vector (3,), rad, for the next answer; called once per packet."""
+        ...
+
+    def restart(self, now: float) -> None:
+        """A new RSI session: the robot applies no offset yet."""
         ...
 
     def start(self, now: float) -> None: ...
@@ -96,8 +104,13 @@ class ChainSource:
     def stop(self, now: float) -> None:
         self.chain.stop(now)
 
-    def offset(self, packet: RobotPacket, now: float) -> tuple[Array, Array]:
+    def take(self, packet: RobotPacket, now: float) -> None:
         self.chain.take_joints(now, now, packet.q, float(packet.external[0]))
+
+    def restart(self, now: float) -> None:
+        self.chain.restart(now)
+
+    def offset(self, now: float) -> tuple[Array, Array]:
         self._take_wrench(now)
         out = self.chain.tick(now)
         return out.translation, out.rotation
@@ -157,7 +170,14 @@ class GivenSource:
     def _present(self) -> Array:
         return np.concatenate([self._limiter.translation.value, self._limiter.rotation.value])
 
-    def offset(self, packet: RobotPacket, now: float) -> tuple[Array, Array]:
+    def take(self, packet: RobotPacket, now: float) -> None:
+        """Nothing: whoever gives the offset knows where the robot is."""
+
+    def restart(self, now: float) -> None:
+        self._limiter.reset()
+        self._supervisor.restart_ramp(now, self._present, "the robot has begun anew")
+
+    def offset(self, now: float) -> tuple[Array, Array]:
         finding = None
         if not self._block.read(self._values) or not 0.0 <= now - self._values[0] + 1e-3 <= self._timeout:
             age = now - self._values[0]

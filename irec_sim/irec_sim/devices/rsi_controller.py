@@ -65,13 +65,19 @@ class Faults:
 
 @dataclass
 class LinkCounts:
-    """Cycles so far, those answered in time, late ones (in all, and in a row now), answers with a wrong IPOC or type."""
+    """What happened so far.
+
+    Attributes:
+        answered: cycles answered in time. late: the others, in all; late_in_a_row: now. too_late: answers to an earlier cycle.
+        wrong: answers of another type or with an IPOC that was never sent. latency: s, of each answer in time.
+    """
 
     cycles: int = 0
     answered: int = 0
     late: int = 0
     late_in_a_row: int = 0
     most_late_in_a_row: int = 0
+    too_late: int = 0
     wrong: int = 0
     latency: list[float] = field(default_factory=list, repr=False)
 
@@ -176,8 +182,11 @@ class RsiController:
                 self.faults.lose_answers -= 1
                 continue
             read = _ANSWER.search(data)
-            if read is None or read[1].decode() != self.sentype or int(read[8]) != self.ipoc:
+            if read is None or read[1].decode() != self.sentype or int(read[8]) > self.ipoc:
                 self.counts.wrong += 1
+                continue
+            if int(read[8]) < self.ipoc:
+                self.counts.too_late += 1
                 continue
             values = np.array([float(v) for v in read.groups()[1:7]])
             return Correction(1e-3 * values[:3], np.radians(values[3:]))

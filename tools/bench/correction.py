@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the time of the correction goes, each figure beside its yardstick from the same run.
+
+`python tools/bench/correction.py [--cycles 100000] [--priority 50] [--json FILE]`; exit code 1 where a target is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from irec_calibration.effects import find_effect
+from irec_calibration.model import Envelope, Estimate, Model, Term
+from irec_calibration.model_file import save_model
+from irec_calibration.robot import Robot
+from irec_calibration.tool_load import ToolLoad
+from irec_correction.conditioning import Conditioner, FilterSettings, make_filters, sensor_in_tool
+from irec_correction.correction import Correction, CorrectionSettings
+from irec_correction.deflection import Deflection
+from irec_correction.realtime import prefer_thread, settle_memory
+
+ROOT = Path(__file__).parents[2]
+CELL = ROOT / "config/cells/afp.yaml"
+URDF = ROOT / "config/robots/kr120_r2700_extra_ha.urdf"
+Q = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3])
+WRENCH = np.array([150.0, -80.0, -900.0, 5.0, 3.0, -1.0])
+PERIOD = 0.004
+TARGET_DEFLECTION_US, TARGET_FASTER, TARGET_TICK_US, TARGET_REPLY = 60.0, 3.0, 150.0, 1.5
+
+
+def model_18() -> Model:
+    """18 DOF with compliances of the usual size."""
+    torsion = Term(find_effect("joint_torsion"), {f"c_{k}": Estimate(4e-7) for k in range(1, 7)})
+    bending = Term(find_effect("link_bending"), {f"c_{k}{v}": Estimate(1e-7) for k in range(1, 7) for v in "ab"})
+    sha = Robot.from_urdf(URDF).sha256
+    return Model((torsion, bending), "KR120-0001", urdf_sha256=sha, envelope=Envelope((-7.0,) * 6, (7.0,) * 6, 2000.0, 500.0))
+
+
+class Plain:
+    """The same deflection as one would write it down: one Pinocchio call per joint, numpy for the rest, Eq. (2)-(11)."""
+
+    def __init__(self, robot: Robot, c_axis: float, c_virtual: float) -> None:
+        self.model = pin.buildModelFromXML(robot.urdf_text)
+        self.data = self.model.createData()
+        self.tcp = self.model.getFrameId("tool0")
+        self.joints = [self.model.getJointId(n) for n in robot.joint_names]
+        self.virtual = robot.kinematics(np.zeros(6)).virtual_in_joint
+        self.c = np.array([c_axis, c_virtual, c_virtual] * 6)
+
+    def __call__(self, q: np.ndarray, force: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        pin.forwardKinematics(self.model, self.data, q)
+        tool = pin.updateFramePlacement(self.model, self.data, self.tcp)
+        f, m = tool.rotation @ force, tool.rotation @ torque
+        J, W = np.empty((3, 18)), np.empty((3, 18))
+        for k, joint in enumerate(self.joints):
+            placement = self.data.oMi[joint]
+            lever = tool.translation - placement.translation
+            local = pin.computeJointJacobian(self.model, self.data, q, joint)
+            W[:, 3 * k] = placement.rotation @ local[3:, k]
+            for v in range(2):
+                W[:, 3 * k + 1 + v] = placement.rotation @ self.virtual[k, v]
+            for v in range(3):
+                J[:, 3 * k + v] = np.cross(W[:, 3 * k + v], lever)
+        tau = J.T @ f + W.T @ m
+        return J @ (self.c * tau)
+
+
+def spread(seconds: list[float] | np.ndarray) -> dict[str, float]:
+    """Median and tails, us."""
+    s = np.asarray(seconds) * 1e6
+    return {k: round(float(np.percentile(s, p)), 2) for k, p in (("p50", 50), ("p99", 99), ("p99.9", 99.9), ("max", 100))}
+
+
+def timed(call: object, n: int) -> list[float]:
+    """Seconds of each of n calls."""
+    out, clock = [], time.perf_counter
+    for _ in range(n):
+        t = clock()
+        call()  # type: ignore[operator]
+        out.append(clock() - t)
+    return out
+
+
+def bench_deflection(n: int) -> dict:
+    """Compiled against plain, interleaved."""
+    robot = Robot.from_urdf(URDF)
+    fast, plain = Deflection(model_18(), robot), Plain(robot, 4e-7, 1e-7)
+    f, m = WRENCH[:3], WRENCH[3:]
+    difference = float(np.abs(fast(Q, f, m, PERIOD)[0] - plain(Q, f, m)).max())
+    if difference > 1e-12:
+        raise SystemExit(f"both formulations differ by {difference} m: nothing to compare")
+    ours, theirs = [], []
+    for _ in range(10):
+        ours += timed(lambda: fast(Q, f, m, PERIOD), n // 10)
+        theirs += timed(lambda: plain(Q, f, m), n // 10)
+    a, b = spread(ours), spread(theirs)
+    return {"compiled_us": a, "plain_us": b, "faster": round(b["p50"] / a["p50"], 2)}
+
+
+def bench_chain(n: int, period: float) -> dict:
+    """One tick of the chain with a raw wrench: watchdog, load, filters, model, state, limits."""
+    robot = Robot.from_urdf(URDF)
+    filters = make_filters(FilterSettings(rate=1.0 / period, median=3, spindle_speed=50.0, harmonics=1))
+    load = ToolLoad(120.0, (0.0, 0.0, 0.2), (18.0, -11.0, 25.0), (1.0, 2.0, 3.0))
+    chain = Correction(CorrectionSettings(period=period), robot, Conditioner(filters, sensor_in_tool(robot, "ft_sensor"), load))
+    chain.put_in_force(model_18(), 0.0)
+    noise = np.random.default_rng(0).normal(0.0, 1.0, (n, 6))
+    chain.start(10.0)
+    spent, clock = [], time.perf_counter
+    for i in range(n):
+        now = 10.0 + i * period
+        t = clock()
+        chain.take_joints(now, now, Q)
+        chain.take_wrench(now, now, "ft_sensor", WRENCH + noise[i])
+        chain.tick(now)
+        spent.append(clock() - t)
+    return {"tick_us": spread(spent), "state": chain.supervisor.state.name}
+
+
+# --- RSI -----------------------------------------------------------------------------------------------------------------
+
+
+def echo(pipe: object, priority: int) -> None:
+    """The yardstick: as little as Python needs to answer a datagram."""
+    prefer_thread(priority)
+    s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    s.bind(("127.0.0.1", 0))
+    settle_memory()
+    pipe.send(s.getsockname()[1])  # type: ignore[attr-defined]
+    while True:
+        data, who = s.recvfrom(4096)
+        if not data:
+            return
+        s.sendto(data, who)
+
+
+def rsi(pipe: object, priority: int, wrench_block: str, period: float) -> None:
+    """The loop with the whole chain in its process."""
+    from irec_correction.rsi.loop import Link, RsiLoop
+    from irec_correction.rsi.sources import ChainSettings, ChainSource
+
+    prefer_thread(priority)
+    source = ChainSource(
+        ChainSettings(CorrectionSettings(period=period), FilterSettings(rate=1.0 / period), URDF.read_text(), wrench_block)
+    )
+    source.put_in_force(model_18(), time.monotonic())
+    loop = RsiLoop(Link(port=0), source, cycle_ms=round(1000 * period))
+    settle_memory()
+    pipe.send(loop.port)  # type: ignore[attr-defined]
+    source.start(time.monotonic())
+    loop.run(lambda: not pipe.poll(0))  # type: ignore[attr-defined]
+
+
+def bench_rsi(cycles: int, priority: int, period: float) -> dict:
+    """Both answer in every cycle, one after the other, in turns first."""
+    from irec_correction.shared import WRENCH_SIZE, SharedValues
+    from irec_sim.devices.rsi_controller import RobotState, RsiController
+
+    context = multiprocessing.get_context("spawn")
+    block = SharedValues.create(WRENCH_SIZE)
+    processes, ports, pipes = [], [], []
+    for target, extra in ((rsi, (block.name, period)), (echo, ())):
+        ours, theirs = context.Pipe()
+        process = context.Process(target=target, args=(theirs, priority, *extra), daemon=True)
+        process.start()
+        ports.append(ours.recv())
+        processes.append(process)
+        pipes.append(ours)
+    prefer_thread(priority)
+    controller = RsiController(("127.0.0.1", ports[0]), period=period, timeout=10**9)
+    state = RobotState(Q, np.array([1.5, 0.0, 1.2]), np.zeros(3))
+    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    line.settimeout(0.1)
+    noise = np.random.default_rng(0).normal(0.0, 0.5, (256, 6))
+    latency: tuple[list[float], list[float]] = ([], [])
+    late = [0, 0]
+    due = time.perf_counter()
+    for i in range(cycles):
+        block.write(np.array([time.monotonic(), i, 0.0, *(WRENCH + noise[i % 256])]))
+        controller.ipoc += round(1000 * period)
+        packet = controller.packet(state)
+        for which in (0, 1) if i % 2 else (1, 0):
+            began = time.perf_counter()
+            line.sendto(packet, ("127.0.0.1", ports[which]))
+            try:
+                line.recvfrom(4096)
+            except TimeoutError:
+                pass
+            spent = time.perf_counter() - began
+            latency[which].append(spent)
+            late[which] += spent > period
+        due = max(due + period, time.perf_counter() - period)
+        time.sleep(max(0.0, due - time.perf_counter()))
+    pipes[0].send(None)
+    line.sendto(controller.packet(state), ("127.0.0.1", ports[0]))
+    line.sendto(b"", ("127.0.0.1", ports[1]))
+    for process in processes:
+        process.join(2.0)
+        if process.is_alive():
+            process.kill()
+    block.close()
+    ours_, theirs_ = spread(latency[0]), spread(latency[1])
+    return {"cycles": cycles, "reply_us": ours_, "echo_us": theirs_, "p99_ratio": round(ours_["p99"] / theirs_["p99"], 2),
+            "late": late[0], "echo_late": late[1]}  # fmt: skip
+
+
+# --- offset topic --------------------------------------------------------------------------------------------------------
+
+FEEDER = """
+import sys, time, numpy as np, rclpy
+from array import array
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import JointState
+period, q, wrench = float(sys.argv[1]), {q}, np.array({wrench})
+rclpy.init(); node = rclpy.create_node("feeder")
+w_out, j_out = node.create_publisher(WrenchStamped, "wrench", 50), node.create_publisher(JointState, "joint_states", 50)
+w, j = WrenchStamped(), JointState(name=[f"joint_{{k}}" for k in range(1, 7)], position=array("d", q))
+w.header.frame_id = "tool0"; rng = np.random.default_rng(0); due = time.monotonic(); i = 0
+while True:
+    i += 1
+    due += period
+    time.sleep(max(0.0, due - time.monotonic()))
+    stamp = node.get_clock().now().to_msg()
+    if i % 2 == 0:
+        j.header.stamp = stamp; j_out.publish(j)
+    f = (wrench + rng.normal(0, 0.5, 6)).tolist()
+    w.header.stamp = stamp
+    w.wrench.force.x, w.wrench.force.y, w.wrench.force.z, w.wrench.torque.x, w.wrench.torque.y, w.wrench.torque.z = f
+    w_out.publish(w)
+"""
+TIMER = """
+import sys, rclpy
+from geometry_msgs.msg import TransformStamped
+from rclpy.experimental import EventsExecutor
+rclpy.init(); node = rclpy.create_node("bare_timer"); out = node.create_publisher(TransformStamped, "bare", 10); m = TransformStamped()
+node.create_timer(float(sys.argv[1]), lambda: out.publish(m)); ex = EventsExecutor(); ex.add_node(node)
+while rclpy.ok(): ex.spin_once(timeout_sec=1.0)
+"""
+
+
+def bench_topic(seconds: float, period: float, priority: int) -> dict:
+    """Intervals of irec/offset as they arrive, beside those of a bare timer that publishes the same message."""
+    import rclpy
+    from geometry_msgs.msg import TransformStamped
+    from rclpy.experimental import EventsExecutor
+
+    environment = {**os.environ, "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", "58"), "IREC_RT_PRIORITY": str(priority)}
+    os.environ["ROS_DOMAIN_ID"] = environment["ROS_DOMAIN_ID"]
+    folder = tempfile.mkdtemp(prefix="irec_bench_")
+    model = save_model(model_18(), Path(folder) / "model.yaml")
+    node = ["-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}", "-p", "autostart:=true", "-p",
+            f"model_path:={model}", "-p", f"rate:={1 / period}", "-p", f"wrench_rate:={1 / period}"]  # fmt: skip
+    feeder = FEEDER.format(q=Q.tolist(), wrench=WRENCH.tolist())
+    commands = [["-c", TIMER, str(period)], node, ["-c", feeder, str(period)]]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    running = [subprocess.Popen([sys.executable, *c], env=environment, **quiet) for c in commands]  # type: ignore[call-overload]
+    rclpy.init()
+    watcher = rclpy.create_node("watcher")
+    arrived: dict[str, list[float]] = {"irec/offset": [], "bare": []}
+    for topic, times in arrived.items():
+        watcher.create_subscription(TransformStamped, topic, lambda _, t=times: t.append(time.monotonic()), 50, raw=True)
+    executor = EventsExecutor()
+    executor.add_node(watcher)
+    try:
+        end = time.monotonic() + 60.0
+        while min(map(len, arrived.values())) < 100:
+            executor.spin_once(timeout_sec=0.1)
+            if time.monotonic() > end:
+                raise SystemExit("offset topic: no messages within 60 s")
+        for times in arrived.values():
+            times.clear()
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.1)
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+        rclpy.shutdown()
+    result = {}
+    for name, topic in (("offset_interval_us", "irec/offset"), ("timer_interval_us", "bare")):
+        result[name] = {**spread(np.diff(arrived[topic])), "messages": len(arrived[topic])}
+    return result
+
+
+def main() -> int:
+    """Run all parts; 1 where a target is missed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cycles", type=int, default=5000, help="RSI cycles of 4 ms (default: 5000)")
+    parser.add_argument("--calls", type=int, default=20000, help="evaluations and ticks (default: 20000)")
+    parser.add_argument("--seconds", type=float, default=15.0, help="of listening to the offset topic (default: 15)")
+    parser.add_argument("--priority", type=int, default=50, help="SCHED_FIFO of loop and yardstick alike, 0: none (default: 50)")
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    args = parser.parse_args()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    figures: dict = {"load_average": os.getloadavg()[0], "deflection": bench_deflection(args.calls)}
+    figures["chain_250_hz"], figures["chain_1_khz"] = bench_chain(args.calls, PERIOD), bench_chain(args.calls, 0.001)
+    figures["topic_250_hz"] = bench_topic(args.seconds, PERIOD, args.priority)
+    figures["topic_1_khz"] = bench_topic(args.seconds, 0.001, args.priority)
+    figures["rsi_4_ms"] = bench_rsi(args.cycles, args.priority, PERIOD)
+    figures["rsi_1_ms"] = bench_rsi(args.cycles, args.priority, 0.001)
+    deflection, tick = figures["deflection"], figures["chain_250_hz"]["tick_us"]
+    met = {
+        f"deflection at most {TARGET_DEFLECTION_US:.0f} us median": deflection["compiled_us"]["p50"] <= TARGET_DEFLECTION_US,
+        f"{TARGET_FASTER:.0f} times faster than plain": deflection["faster"] >= TARGET_FASTER,
+        f"tick at most {TARGET_TICK_US:.0f} us median": tick["p50"] <= TARGET_TICK_US,
+        f"RSI reply p99 at most {TARGET_REPLY} of a bare echo": figures["rsi_4_ms"]["p99_ratio"] <= TARGET_REPLY,
+        "no more late replies than the echo": figures["rsi_4_ms"]["late"] <= figures["rsi_4_ms"]["echo_late"],
+    }
+    for part, values in figures.items():
+        print(f"{part}: {json.dumps(values)}")
+    for text, ok in met.items():
+        print(f"{'met   ' if ok else 'MISSED'} {text}")
+    if args.json:
+        args.json.parent.mkdir(parents=True, exist_ok=True)
+        args.json.write_text(json.dumps({**figures, "met": met}, indent=2))
+    return 0 if all(met.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
