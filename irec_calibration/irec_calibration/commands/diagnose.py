@@ -53,7 +53,7 @@ def in_words(result: Diagnosis) -> str:
         lines.append(
             f"{c.effect:24} {1e6 * c.cv_rms_m:12.1f} {1e6 * c.cv_rms_se_m:6.1f} {c.log_evidence:9.1f}  {', '.join(c.groups)}"
         )
-    lines += [f"where: {v.sentence}" for v in result.where[:SHOWN] if v.p_value < 0.05]
+    lines += [f"where: {v.sentence}" for v in result.where[:SHOWN] if not v.sentence.startswith("No sign")]
     for m in result.next_measurements[:2]:
         at = f"pose {m.pose}" if m.pose else "new pose at joints " + ", ".join(f"{x:.2f}" for x in m.q)
         lines.append(

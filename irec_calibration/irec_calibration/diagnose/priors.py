@@ -22,7 +22,7 @@ BENDING_WIDTH_WRIST = 1.2
 WRIST_AXES = 3
 EFFECT_WIDTH = 1.0
 LEVELS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of the springs' priors, tried on each session
-FACTORS = np.array([0.1, 0.3, 1.0, 3.0, 10.0, 30.0])  # of an effect's prior width
+FACTORS = np.array([0.1, 0.5, 2.5, 12.5])  # of an effect's prior width
 
 
 def prior_width(effect_id: str, parameter: Parameter, n_joints: int) -> float:

@@ -15,10 +15,10 @@ from numpy.polynomial import legendre
 
 from ..typing import Array
 from .evidence import Block, Posterior
-from .priors import FACTORS
 from .study import Study
 
 DEGREE = 3
+FACTORS = np.array([0.5, 3.0])  # of the prior widths
 TYPICAL_DISPLACEMENT = 3e-5  # m; what a parameter of scale 1 moves
 LEVER = 0.01  # m; by which a force typically acts beside the TCP
 MODULATION = 0.1  # typical relative change of a spring

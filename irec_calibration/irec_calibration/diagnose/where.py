@@ -20,6 +20,7 @@ DRAWS = 4000
 FEWEST_POSES = 5
 BINS = 4
 SIGNIFICANT = 0.05
+SMALLEST_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def views(observation: Observation, residual: Array, predicted: Array) -> tuple[
         share = max(0.0, (share - by_noise) / (1.0 - by_noise))
         out.append(_view(side, residual, share, corrected))
     out.append(_worst_pose(observation, residual))
-    return tuple(sorted(out, key=lambda v: (v.p_value > SIGNIFICANT, -v.share)))
+    return tuple(sorted(out, key=lambda v: (v.p_value > SIGNIFICANT or v.share < SMALLEST_SHARE, -v.share)))
 
 
 def _view(side: _Side, residual: Array, share: float, p: float) -> View:
@@ -73,7 +74,7 @@ def _view(side: _Side, residual: Array, share: float, p: float) -> View:
     rms = {str(x): float(np.sqrt(squared[labels == x].mean())) for x in dict.fromkeys(side.labels)}
     worst = max(rms, key=lambda k: rms[k])
     where = f", most at {worst} ({1e6 * rms[worst]:.0f} um)" if len(rms) > 1 else ""
-    if p > SIGNIFICANT:
+    if p > SIGNIFICANT or share < SMALLEST_SHARE:
         sentence = f"No sign that the residual {side.words}."
     else:
         sentence = f"{100 * share:.0f} % of the squared residual {side.words}{where}."

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..absolute import REPEATS
 from ..effects import find_effect
 from .judge import Judgement
 from .result import Candidate, Comparison, Measurement, Verdict
@@ -48,6 +49,8 @@ def put_in_words(
         parts += _missing(verdict, candidates, ids)
     else:
         parts += _unexplained(verdict)
+    if verdict.status != "adequate":
+        parts += [f"{n[0].upper()}{n[1:]}." for n in study.session.notes if n.startswith(REPEATS)]
     if weight and verdict.readings is not None:
         parts.append(
             f"The force sensor reads {verdict.readings.rms_before:.1f} N where nothing touches the tool, turning with the flange:"
