@@ -9,22 +9,27 @@ and the geometry of the arm is part of the base model.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from .effects import find_effect
 from .model import GEOMETRIC, Estimate, Term, regressors
 from .observe import Observation
 from .session.data import Session
-from .typing import Array, BoolArray
+from .typing import Array, BoolArray, IntArray
 
 GEOMETRY = "geometry_error"
 DETERMINED = 2.0  # parameter scales (2 mm, 2 mrad): a geometric parameter with a larger standard error is not determined
 STRUCTURAL = 1e-6  # share of a column that must be left when what is chosen already is taken out
 OUTLIER = 6.0  # median residuals beyond which a row is an outlier (9 standard deviations of normal noise)
 OUTLIERS_AT_MOST = 0.05  # of the rows; where more stand out they are no outliers
-THINNED_TO = 1500  # poses; a comparison of many models does not get better by more
+NEAR, NEAR_M = 0.02, 0.01  # rad, m: in every joint; poses this close should have the same error
+FEWEST_PAIRS = 10
+REPEATING = 0.6  # difference within pairs over the residual itself; independent errors would differ by 1.4 times their size
+REPEATS = "the residual repeats with the pose"
+THINNED_TO = 1000  # poses; a comparison of many models does not get better by more
 
 
 def base_terms() -> tuple[Term, ...]:
@@ -122,11 +127,65 @@ def outlying(residual: Array) -> BoolArray:
 def thinned(observation: Observation, most: int = THINNED_TO) -> Observation:
     """An observation with at most so many whole poses, spread evenly over the session; history and time stay as they were."""
     poses = observation.poses
-    if len(poses) <= most:
+    if len(poses) <= most or observation.session.kind != "absolute":
         return observation
     kept = poses[np.unique(np.linspace(0, len(poses) - 1, most).astype(int))]
     note = f"{len(kept)} of {len(poses)} poses, spread evenly, are used for comparing models"
-    return noted(observation.only(np.isin(observation.pose, kept)), note)
+    few = observation.only(np.isin(observation.pose, kept))
+    index = np.arange(len(few.rows))
+    few = replace(few, session=few.session.select(few.rows), scene=few.scene.take(few.rows), rows=index)
+    return noted(few, note)
+
+
+@dataclass(frozen=True)
+class NearPairs:
+    """Pairs of poses that are close in all joints, and the residuals there.
+
+    Attributes:
+        first, second: index of the observed row of each, (pairs,).
+        difference_m, residual_m: median norm of the residuals' difference over pairs, and of the residual itself, m.
+    """
+
+    first: IntArray
+    second: IntArray
+    difference_m: float
+    residual_m: float
+
+    @property
+    def repeats(self) -> bool:
+        """The residual is a property of the pose, not noise."""
+        return len(self.first) >= FEWEST_PAIRS and self.difference_m < REPEATING * self.residual_m
+
+
+def near_pairs(observation: Observation, residual: Array) -> NearPairs:
+    """Residuals of poses that are close to each other but not measured in succession.
+
+    Args:
+        residual: (m, 3), m.
+    """
+    scene, session, rows = observation.scene, observation.session, observation.rows
+    spread = np.where(scene.kin.is_prismatic, NEAR_M / NEAR, 1.0)
+    found = cKDTree(scene.q[rows] / spread).query_pairs(NEAR, p=np.inf, output_type="ndarray")
+    order = np.argsort(np.argsort(session.stamp[rows], kind="stable"))
+    apart = observation.pose[found[:, 0]] != observation.pose[found[:, 1]]
+    apart &= session.marker[rows[found[:, 0]]] == session.marker[rows[found[:, 1]]]
+    if session.clock != "none":
+        # the arm must have been elsewhere in between: a pose that was only nudged proves nothing
+        apart &= np.abs(order[found[:, 0]] - order[found[:, 1]]) > 1
+    found = found[apart]
+    size = float(np.median(np.linalg.norm(residual, axis=1)))
+    change = np.linalg.norm(residual[found[:, 0]] - residual[found[:, 1]], axis=1)
+    return NearPairs(found[:, 0], found[:, 1], float(np.median(change)) if len(change) else float("nan"), size)
+
+
+def repeating(pairs: NearPairs) -> str:
+    """A sentence where the residual repeats with the pose, else an empty string."""
+    if not pairs.repeats:
+        return ""
+    return (
+        f"{REPEATS}: in {len(pairs.first)} pairs of poses within {NEAR} rad in every joint, not measured in succession, it differs by"
+        f" {1e3 * pairs.difference_m:.3f} mm (median), while it is {1e3 * pairs.residual_m:.3f} mm itself; it is missing from the model, not noise"
+    )
 
 
 def noted(observation: Observation, note: str) -> Observation:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from . import __version__
-from .absolute import base_terms, completed, held_geometry, noted, outlying
+from .absolute import base_terms, completed, held_geometry, near_pairs, noted, outlying, repeating
 from .bounded import solve_bounded_gram
 from .effects import Parameter, absent
 from .errors import Cancelled, SolveError
@@ -312,7 +312,10 @@ def observe_with_force_noise(session: Session, terms: Sequence[Term]) -> Observa
 
 
 def without_outliers(observation: Observation, terms: Sequence[Term]) -> Observation:
-    """An observation without rows that stand out from a fit of the terms, with a note that names their poses."""
+    """An observation without rows that stand out from a fit of the terms; its session's notes say what was found.
+
+    Notes name the poses left out, and say whether the residual of the fit repeats where poses do.
+    """
     kept = np.ones(len(observation.rows), dtype=bool)
     for _ in range(3):
         fitted = fit(terms, observation.only(kept))
@@ -321,6 +324,9 @@ def without_outliers(observation: Observation, terms: Sequence[Term]) -> Observa
         if (out == ~kept).all():
             break
         kept = ~out
+    again = repeating(near_pairs(observation.only(kept), residual[kept]))
+    if again:
+        observation = noted(observation, again)
     if kept.all():
         return observation
     named = ", ".join(map(str, observation.pose[~kept][:10].tolist())) + (", .." if (~kept).sum() > 10 else "")

@@ -7,7 +7,7 @@ TCP and has no measured positions at all, so a prediction can't read marker colu
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -198,6 +198,27 @@ class Scene:
         """The same rows under another wrench."""
         kept = {k: v for k, v in self._cache.items() if k in ("J", "V") or "weight" in k}
         return replace(self, force_in_tool=force_in_tool, torque_in_tool=torque_in_tool, _cache=kept)
+
+    def take(self, rows: IntArray) -> Scene:
+        """Some rows of an absolute session only; step, load and history of each stay what they were."""
+        n = len(self)
+
+        def cut(value: object) -> object:
+            return value[rows] if isinstance(value, np.ndarray) and len(value) == n else value
+
+        kin = {f.name: getattr(self.kin, f.name) for f in fields(self.kin)}
+        position = np.full(n + 1, -1)
+        position[rows] = np.arange(len(rows))
+        changed: dict[str, object] = {f.name: cut(getattr(self, f.name)) for f in fields(self) if f.name not in ("robot", "gravity_in_base")}
+        changed |= {
+            "kin": Kinematics(**{k: cut(v) if k not in ("is_prismatic", "virtual_in_joint") else v for k, v in kin.items()}),
+            "driven": self.driven,
+            "previous": position[self.previous[rows]],
+            "ext": {k: v[rows] for k, v in self.ext.items()},
+            "temperature": {k: v[rows] for k, v in self.temperature.items()},
+            "_cache": {},
+        }
+        return replace(self, **changed)  # type: ignore[arg-type]
 
     def change(self, displacement: Array) -> Array:
         """What a session of this kind observes of a displacement per row: its change against the reference row."""

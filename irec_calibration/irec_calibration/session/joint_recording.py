@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of motor encoder, link encoder and motor torque: MATLAB files and tables, by a mapping file (`irec-joints/1`).
+
+```yaml
+format: irec-joints/1
+step: 0.004                                   # s; or time: {field: rec.time_cont} / time: {column: t, unit: ms}
+motor: {field: rec.act_pos_mot_deg, unit: deg}    # in a .mat file: (axes, samples); struct fields with dots
+link: {field: rec.act_pos_se_deg, unit: deg}
+torque: {field: rec.act_torque_abs_nm, gear: para.u}   # gear: ratios as a list or a field; torque is multiplied by them
+# in a table: motor: {columns: [m1, m2, m3], unit: deg} ...; table: {delimiter: ";", decimal: ","}
+```
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ..errors import SessionError
+from ..joint_stiffness import Trajectory
+from ..typing import Array, Json
+from .foreign import UNITS
+
+FORMAT = "irec-joints/1"
+
+
+def read_recordings(data: str | Path, profile: str | Path | None = None) -> list[Trajectory]:
+    """Read all recordings of a folder, or one file.
+
+    Args:
+        data: .mat or .csv file, or a folder of them.
+        profile: mapping file; without one a table needs the columns `time`, `motor_k`, `link_k`, `torque_k` (s, rad, N m).
+
+    Raises:
+        SessionError: nothing there, or a field is missing; names file and field.
+    """
+    data = Path(data)
+    files = sorted(f for f in data.iterdir() if f.suffix in (".mat", ".csv")) if data.is_dir() else [data]
+    if not files or not files[0].exists():
+        raise SessionError(f"{data}: no .mat or .csv recording there")
+    mapping: Json | None = None
+    if profile is not None:
+        try:
+            mapping = yaml.safe_load(Path(profile).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise SessionError(f"{profile}: can't read the profile: {error}") from error
+        if not isinstance(mapping, dict) or mapping.get("format") != FORMAT:
+            raise SessionError(f"{profile}: not a mapping with format: {FORMAT}")
+        for key in ("motor", "link", "torque"):
+            if not isinstance(mapping.get(key), dict):
+                raise SessionError(f"{profile}: '{key}' is missing: where that channel is")
+    return [_read(f, mapping) for f in files]
+
+
+def _read(path: Path, mapping: Json | None) -> Trajectory:
+    source: _Mat | _Table
+    if path.suffix == ".mat":
+        if mapping is None:
+            raise SessionError(f"{path}: a MATLAB file needs --profile: which field is which channel")
+        source = _Mat(path)
+    else:
+        source = _Table(path, mapping)
+        mapping = mapping or source.default()
+    channel = {key: source.channel(mapping[key]) for key in ("motor", "link", "torque")}
+    shapes = {c.shape for c in channel.values()}
+    if len(shapes) != 1:
+        raise SessionError(f"{path}: motor, link and torque have different shapes: {', '.join(map(str, shapes))}")
+    if "step" in mapping:
+        step = float(mapping["step"])
+    elif "time" in mapping:
+        time = source.channel(mapping["time"])[:, 0]
+        step = float(np.median(np.diff(time)))
+        worst = float(np.abs(np.diff(time) - step).max()) if len(time) > 1 else 0.0
+        if step <= 0.0 or worst > 0.5 * step:
+            raise SessionError(f"{path}: samples are not at equal steps (step {step:g} s, largest deviation {worst:g} s)")
+    else:
+        raise SessionError(f"{path}: neither 'step' nor 'time' is given")
+    for name, c in channel.items():
+        if not np.isfinite(c).all():
+            raise SessionError(f"{path}: {name} holds values that are not finite numbers")
+    return Trajectory(path.stem, step, channel["motor"], channel["link"], channel["torque"])
+
+
+class _Mat:
+    def __init__(self, path: Path) -> None:
+        from scipy.io import loadmat
+
+        self.path = path
+        try:
+            self.content = loadmat(str(path), squeeze_me=True, struct_as_record=False)
+        except Exception as error:  # scipy raises whatever the bytes make it stumble over
+            raise SessionError(f"{path}: not a MATLAB file that can be read: {error}") from error
+
+    def field(self, name: str) -> Array:
+        value: Any = self.content
+        for part in str(name).split("."):
+            value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
+            if value is None:
+                raise SessionError(f"{self.path}: there is no field '{name}'")
+        return np.asarray(value, dtype=float)
+
+    def channel(self, spec: Json) -> Array:
+        values = np.atleast_2d(self.field(spec["field"]))
+        values = values.T if values.shape[0] < values.shape[1] else values
+        return values * _factor(spec, self.field)
+
+
+class _Table:
+    def __init__(self, path: Path, mapping: Json | None) -> None:
+        options = (mapping or {}).get("table") or {}
+        decimal = str(options.get("decimal", "."))
+        self.path = path
+        try:
+            with path.open(newline="", encoding="utf-8-sig") as file:
+                rows = [r for r in csv.reader(file, delimiter=str(options.get("delimiter", ","))) if r]
+            self.names = [n.strip() for n in rows[0]]
+            body = [[float(f.replace(decimal, ".")) for f in r[: len(self.names)]] for r in rows[1:]]
+        except (OSError, UnicodeDecodeError, csv.Error, ValueError, IndexError) as error:
+            raise SessionError(f"{path}: can't read the table: {error}") from error
+        self.values = np.array(body)
+
+    def default(self) -> Json:
+        k = sum(n.startswith("motor_") for n in self.names)
+        if not k:
+            raise SessionError(f"{self.path}: no columns motor_1 ..; name the columns in a profile")
+        return {"time": {"columns": ["time"]}} | {
+            key: {"columns": [f"{key}_{a + 1}" for a in range(k)]} for key in ("motor", "link", "torque")
+        }
+
+    def channel(self, spec: Json) -> Array:
+        wanted = spec.get("columns", [spec["column"]] if "column" in spec else [])
+        missing = [n for n in wanted if n not in self.names]
+        if missing or not wanted:
+            raise SessionError(f"{self.path}: there is no column '{missing[0] if missing else '?'}'; there are {', '.join(self.names)}")
+        return self.values[:, [self.names.index(n) for n in wanted]] * _factor(spec, None)
+
+
+def _factor(spec: Json, field: Any) -> Array:
+    unit = str(spec.get("unit", "1"))
+    if unit not in UNITS:
+        raise SessionError(f"unit '{unit}' is not known; there are {', '.join(UNITS)}")
+    gear = spec.get("gear", 1.0)
+    ratios = field(gear) if isinstance(gear, str) else np.asarray(gear, dtype=float)
+    return UNITS[unit] * float(spec.get("sign", 1)) * ratios
