@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop that must answer within the controller's cycle: one thread, one socket, nothing else in its interpreter.
 
-An answer is ready before its packet comes: a quarter of a cycle ahead the newest wrench goes through the chain, and the packet only
-brings the IPOC. So the time to answer is hardly more than that of an echo, at the price of joint angles from the packet before.
+An answer is ready before its packet comes: a quarter of a cycle ahead the newest wrench goes through the chain, and the packet
+only brings the IPOC. So the time to answer is hardly more than that of an echo, at the price of joint angles from the packet
+before.
 
 Late packets: when several wait in the socket, the loop was held up; only the newest is answered (the controller has counted
 the others as late already, and an answer with their IPOC would be refused). RKorr is absolute, so a lost answer costs
