@@ -183,8 +183,10 @@ def repeating(pairs: NearPairs) -> str:
     if not pairs.repeats:
         return ""
     return (
-        f"{REPEATS}: in {len(pairs.first)} pairs of poses within {NEAR} rad in every joint, not measured in succession, it differs by"
-        f" {1e3 * pairs.difference_m:.3f} mm (median), while it is {1e3 * pairs.residual_m:.3f} mm itself; it is missing from the model, not noise"
+        f"{REPEATS}: in {len(pairs.first)} pairs of poses within {NEAR} rad in every joint, not measured in succession, it "
+        "differs by"
+        f" {1e3 * pairs.difference_m:.3f} mm (median), while it is {1e3 * pairs.residual_m:.3f} mm itself; it is missing "
+        "from the model, not noise"
     )
 
 

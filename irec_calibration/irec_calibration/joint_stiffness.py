@@ -6,9 +6,9 @@ proportion to velocity. So that comes first. Then
 
     motor - link = offset + skew * velocity + c * torque (+ a * acceleration + s * sign(velocity)) (+ periodic encoder errors)
 
-with c the compliance, acceleration for the motor's own inertia that the motor torque carries, sign for backlash and friction. Samples
-of one trajectory share whatever is wrong with it, so trajectories are the units of statistics; and the compliance counts as told only
-where every variant of the nuisances in brackets tells it.
+with c the compliance, acceleration for the motor's own inertia that the motor torque carries, sign for backlash and
+friction. Samples of one trajectory share whatever is wrong with it, so trajectories are the units of statistics; and the
+compliance counts as told only where every variant of the nuisances in brackets tells it.
 """
 
 from __future__ import annotations
@@ -98,7 +98,8 @@ class JointStiffness:
 
     Attributes:
         units: what the standard errors are taken over.
-        common_skew_s, same_skew_p: weighted mean over the axes, and the probability of their scatter if the skew is the same on all.
+        common_skew_s, same_skew_p: weighted mean over the axes, and the probability of their scatter if the skew is the same
+        on all.
     """
 
     axes: tuple[Axis, ...]

@@ -39,11 +39,14 @@ def in_words(r: JointStiffness) -> str:
     for a in r.axes:
         units = ", ".join(f"{1e3 * s:.2f}" for s in a.skew_by_unit)
         lines.append(
-            f"axis {a.number}: the encoders differ by {1e6 * a.spread_rad:.0f} urad rms; {100 * a.skew_share:.1f} % of its square is"
+            f"axis {a.number}: the encoders differ by {1e6 * a.spread_rad:.0f} urad rms; {100 * a.skew_share:.1f} % of its "
+            "square is"
             f" proportional to velocity: skew {1e3 * a.skew_s.value:.2f} +- {1e3 * a.skew_s.se:.2f} ms ({units})"
         )
     same = "the same on all axes" if not r.same_skew_p < 0.05 else "not the same on all axes"
-    lines.append(f"timing skew {1e3 * r.common_skew_s.value:.2f} +- {1e3 * r.common_skew_s.se:.2f} ms, {same} (p = {r.same_skew_p:.2f})")
+    lines.append(
+        f"timing skew {1e3 * r.common_skew_s.value:.2f} +- {1e3 * r.common_skew_s.se:.2f} ms, {same} (p = {r.same_skew_p:.2f})"
+    )
     for a in r.axes:
         lines.append(_stiffness(a))
         by = "; ".join(f"{n}: {1e8 * c.value:.1f} +- {1e8 * c.se:.1f}" for n, c in a.compliance.items())

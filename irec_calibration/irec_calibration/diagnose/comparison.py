@@ -57,7 +57,8 @@ def compare_observed(observation: Observation, terms: Sequence[Term], fitted: in
     variance_ratio = chi2 / max(residual.size - fitted, 1)
     if variance_ratio < QUIETER:
         notes.append(
-            f"the residual, {1e6 * rms:.1f} um, is well below the noise that session.yaml states, {1e6 * floor:.1f} um: the instruments "
+            f"the residual, {1e6 * rms:.1f} um, is well below the noise that session.yaml states, {1e6 * floor:.1f} um: "
+            "the instruments "
             "did better than their data sheet, and an effect smaller than the stated noise would not be found; state their real "
             "repeatability under `noise`"
         )

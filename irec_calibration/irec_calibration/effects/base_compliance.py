@@ -42,9 +42,7 @@ class BaseCompliance(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(
             Parameter(f"t_{a}", "m/N", 1e-8, lower=0.0, plausible=(0.0, 1e-6), group="translation") for a in AXES
-        ) + tuple(
-            Parameter(f"r_{a}", "rad/(N m)", 2e-8, lower=0.0, plausible=(0.0, 2e-6), group="rotation") for a in AXES
-        )
+        ) + tuple(Parameter(f"r_{a}", "rad/(N m)", 2e-8, lower=0.0, plausible=(0.0, 2e-6), group="rotation") for a in AXES)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         return base_spring_regressor(scene)

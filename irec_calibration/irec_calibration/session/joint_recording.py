@@ -135,7 +135,9 @@ class _Table:
         wanted = spec.get("columns", [spec["column"]] if "column" in spec else [])
         missing = [n for n in wanted if n not in self.names]
         if missing or not wanted:
-            raise SessionError(f"{self.path}: there is no column '{missing[0] if missing else '?'}'; there are {', '.join(self.names)}")
+            raise SessionError(
+                f"{self.path}: there is no column '{missing[0] if missing else '?'}'; there are {', '.join(self.names)}"
+            )
         return self.values[:, [self.names.index(n) for n in wanted]] * _factor(spec, None)
 
 
