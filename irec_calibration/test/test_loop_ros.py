@@ -20,9 +20,6 @@ pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
-from rclpy.action import ActionClient
-from std_srvs.srv import Trigger
-
 from irec_calibration.cell import read_cell
 from irec_calibration.effects import find_effect
 from irec_calibration.model import Estimate, Model, Term
@@ -32,6 +29,9 @@ from irec_calibration.poses.store import write_poses
 from irec_calibration.recalibration import Register
 from irec_calibration.recording import BagReader
 from irec_calibration.session import read_session
+from rclpy.action import ActionClient
+from std_srvs.srv import Trigger
+
 from irec_msgs.action import RunProcedure
 from irec_msgs.msg import RobotState
 from irec_msgs.srv import Recalibrate, SolveCompliances
