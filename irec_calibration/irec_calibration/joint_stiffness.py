@@ -128,7 +128,10 @@ def joint_stiffness(trajectories: Sequence[Trajectory]) -> JointStiffness:
     notes = []
     if len(trajectories) == 1:
         units = [f"{trajectories[0].name} part {i + 1}" for i in range(BLOCKS)]
-        notes.append(f"one recording only: its {BLOCKS} parts stand for independent trajectories, errors are too small rather than too large")
+        notes.append(
+            f"one recording only: its {BLOCKS} parts stand for independent trajectories, "
+            "errors are too small rather than too large"
+        )
     else:
         units = [t.name for t in trajectories]
     axes = tuple(_axis(trajectories, a) for a in range(k) if moves[a])
@@ -162,7 +165,8 @@ def _axis(trajectories: Sequence[Trajectory], a: int) -> Axis:
         scatter = ", ".join(f"{1e8 * v:.1f}" for v in found[weak[-1]][:, 1])
         why = (
             f"with {weak[-1]} taken out, the recordings give {scatter} x 1e-8 rad/(N m): no value different from zero at"
-            f" {100 * CONFIDENCE:.0f} % (needs {limit:.1f} standard errors, there are {abs(compliance[weak[-1]].value) / compliance[weak[-1]].se:.1f})"
+            f" {100 * CONFIDENCE:.0f} % (needs {limit:.1f} standard errors, "
+            f"there are {abs(compliance[weak[-1]].value) / compliance[weak[-1]].se:.1f})"
         )
     elif total >= middle:
         why = "the variants of the nuisances disagree by as much as the value itself"

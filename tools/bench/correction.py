@@ -242,7 +242,8 @@ TIMER = """
 import sys, rclpy
 from geometry_msgs.msg import TransformStamped
 from rclpy.experimental import EventsExecutor
-rclpy.init(); node = rclpy.create_node("bare_timer"); out = node.create_publisher(TransformStamped, "bare", 10); m = TransformStamped()
+rclpy.init(); node = rclpy.create_node("bare_timer")
+out = node.create_publisher(TransformStamped, "bare", 10); m = TransformStamped()
 node.create_timer(float(sys.argv[1]), lambda: out.publish(m)); ex = EventsExecutor(); ex.add_node(node)
 while rclpy.ok(): ex.spin_once(timeout_sec=1.0)
 """
