@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_calibration.errors import SolveError
@@ -102,3 +103,24 @@ def test_only_times_of_standing_still_are_averaged():
     found = standing(t, q, t, w)
     np.testing.assert_allclose(found.readings[:, 0], [1.0, 2.0])
     np.testing.assert_allclose(found.q[:, 0], [0.0, 0.8], atol=1e-3)
+
+
+def test_command_reads_a_recording_and_writes_parameters(tmp_path):
+    from irec_calibration.cli import main
+    from tool_load_bag import write_bag
+
+    bag = write_bag(tmp_path / "turns.mcap", TRUE)
+    assert main(["tool-load", str(bag), "-o", str(tmp_path / "tool_load.yaml")]) == 0
+    written = yaml.safe_load((tmp_path / "tool_load.yaml").read_text())["/**"]["ros__parameters"]
+    assert written["raw_wrench"] is True
+    assert written["tool_load"]["mass"] == pytest.approx(120.0, abs=0.5)
+    np.testing.assert_allclose(written["tool_load"]["com"], TRUE.com, atol=2e-3)
+
+
+def test_command_says_what_a_recording_lacks(tmp_path, capsys):
+    from irec_calibration.cli import main
+    from tool_load_bag import write_bag
+
+    bag = write_bag(tmp_path / "turns.mcap", TRUE)
+    assert main(["tool-load", str(bag), "--wrench", "somewhere"]) == 2
+    assert "no message on 'somewhere'" in capsys.readouterr().err

@@ -29,7 +29,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frame", default="ft_sensor", help="link in which the sensor measures (default: ft_sensor)")
     parser.add_argument("--alignment", action="store_true", help="also identify how the sensor is turned against that link")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
-    parser.add_argument("-o", "--output", type=Path, help="write the parameters of correction_node to this YAML file")
+    parser.add_argument(
+        "-o", "--output", type=Path, help="write the parameters of correction_node and rsi_bridge to this YAML file"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -151,5 +153,5 @@ def _as_dict(fit: ToolLoadFit) -> dict[str, Any]:
 
 def _parameters(fit: ToolLoadFit) -> str:
     load = {k: list(v) if isinstance(v, tuple) else v for k, v in ((n, getattr(fit.load, n)) for n in fit.se)}
-    tree = {"correction_node": {"ros__parameters": {"raw_wrench": True, "tool_load": load}}}
+    tree = {"/**": {"ros__parameters": {"raw_wrench": True, "tool_load": load}}}
     return "# Identified by irec tool-load: kg, m, N, N m, rad\n" + yaml.safe_dump(tree, sort_keys=False)

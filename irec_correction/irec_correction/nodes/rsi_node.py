@@ -250,7 +250,8 @@ class RsiNode(Node):
         values = {
             "answered": int(v[1]), "late_here": int(v[2]), "late_at_controller": int(v[3]), "lost": int(v[4]),
             "foreign": int(v[5]), "unreadable": int(v[6]), "restarts": int(v[7]),
-            "latency_p50_s": float(np.percentile(latency, 50)), "latency_p99_s": float(np.percentile(latency, 99)), "latency_max_s": float(latency.max()),
+            "latency_p50_s": float(np.percentile(latency, 50)), "latency_p99_s": float(np.percentile(latency, 99)),
+            "latency_max_s": float(latency.max()),
         }  # fmt: skip
         silent = time.monotonic() - v[0] > 0.5
         level = DiagnosticStatus.WARN if silent else LEVELS[self._state]
