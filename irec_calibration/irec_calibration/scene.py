@@ -190,6 +190,18 @@ class Scene:
         n, k = self.q.shape
         return np.einsum("nkvi,nki->nkv", self.kin.virtual_axis, moment).reshape(n, 2 * k)
 
+    def noise_free_from_station(self) -> Array:
+        """Vector from the station to the marker, (n, 3), m: measured at the reference, moved on by controller and springs.
+
+        What scales or turns it must not be built on the measured displacement, whose noise would scale and turn too.
+        """
+        if self.measured_from_station is None:
+            raise ValueError("a prediction has no station")
+        if self.kind == "absolute":
+            return np.nan_to_num(self.measured_from_station)
+        p = self.p_observed if self.elastic is None else self.p_observed + self.elastic.displacement
+        return np.nan_to_num(self.measured_from_station)[self.reference] + self.change(p)
+
     def load_torque(self) -> Array:
         """The torque that elastic joints answer to: process (loaded) or process and gravity (absolute), (n, k), N m."""
         return self.tau if self.kind == "loaded" else self.tau + self.tau_gravity

@@ -24,7 +24,7 @@ NATS_FOR_STRUCTURE = 9.0  # evidence of a structure without a name that makes it
 SHARE_TO_NAME = 0.75  # of the explainable excess that the named effects must explain
 SHARE_OF_SECOND = 0.08  # of the excess that a second effect must bring to be named beside the first
 CHI2_SIGMAS = 5.0  # by which chi2 must exceed its expectation to say that noise does not explain the residual
-NATS_TO_BEAT = 12.0  # by which a structure without a name must beat the best effect to deny it the name (some 300 are tried)
+NATS_TO_BEAT = 4.0  # by which a structure without a name must beat the best effect to deny it the name
 FEWEST_POSES = 3  # with fewer nothing can be tested on other poses, and nothing is named
 HELD_OUT_SIGMAS = 1.5  # by which the held-out loss must fall, over poses
 
@@ -86,21 +86,27 @@ def judge(found: Search, readings: Readings | None, check: Callable[[], None] = 
     enough = len(study.bench.poses) >= FEWEST_POSES
     helps = enough and np.isfinite(mean) and ("station_shift" in chosen.ids or mean > HELD_OUT_SIGMAS * se)
     unnamed = tuple(search_unnamed(study, check))
-    beaten = bool(unnamed) and unnamed[0].log_evidence > chosen.log_evidence + NATS_TO_BEAT and not _in_family(chosen, unnamed[0])
+    better = max(unnamed, key=_odds, default=None)
+    beaten = better is not None and _odds(better) > chosen.log_evidence + NATS_TO_BEAT and not _in_family(chosen, better)
     named = helps and explained >= SHARE_TO_NAME and not beaten
-    reason = "" if named else _why_not(enough, helps, beaten, unnamed)
+    reason = "" if named else _why_not(enough, helps, better if beaten else None)
     status = "missing_effect" if named else "unexplained"
     if status == "unexplained" and (beaten or not variables):
         variables = tuple(depends_on(list(unnamed), NATS_FOR_STRUCTURE)) if unnamed else ()
     return Judgement(status, chosen, rivals, left, variables, explained, readings, base_cv, chosen_cv, size, reason, unnamed)
 
 
-def _why_not(enough: bool, helps: bool, beaten: bool, unnamed: tuple[Unnamed, ...]) -> str:
+def _odds(structure: Unnamed) -> float:
+    """Log evidence of a structure, less what trying so many of its kind gives by chance."""
+    return structure.log_evidence - float(np.log(structure.tried))
+
+
+def _why_not(enough: bool, helps: bool, better: Unnamed | None) -> str:
     if not enough:
         return "there are too few poses to test it on others"
     if not helps:
         return "it does not help on held-out poses"
-    return f"a structure without a name fits better: {unnamed[0].frame}" if beaten else "it explains only a part"
+    return f"a structure without a name fits better: {better.frame}" if better else "it explains only a part"
 
 
 def _in_family(chosen: Hypothesis, other: Unnamed) -> bool:

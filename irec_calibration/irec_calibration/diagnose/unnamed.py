@@ -34,6 +34,7 @@ class Unnamed:
         frame: along what it acts, in words.
         block: its columns.
         posterior, log_evidence: on top of the model, relative to the model alone.
+        tried: how many of its kind were tried.
     """
 
     variables: tuple[str, ...]
@@ -41,6 +42,7 @@ class Unnamed:
     block: Block
     posterior: Posterior
     log_evidence: float
+    tried: int = 1
 
 
 def varying(study: Study) -> dict[str, Array]:
@@ -150,22 +152,24 @@ def search(study: Study, check: Callable[[], None] = lambda: None) -> list[Unnam
     along = frames(study)
     found: list[Unnamed] = []
 
-    def attempt(names: tuple[str, ...], words: str, columns: Array) -> None:
+    def attempt(names: tuple[str, ...], words: str, columns: Array, tried: int) -> None:
         A = study.columns(columns)
         A = A[:, np.linalg.norm(A, axis=0) > 1e-6]
         if A.shape[1]:
             free = np.full(A.shape[1], np.inf)
             block = Block(A, -free, free, np.ones(A.shape[1]))
             posterior = study.bench.posterior(study.base + block, FACTORS, own)
-            found.append(Unnamed(names, words, block.widened(posterior.factor), posterior, posterior.log_evidence - alone))
+            found.append(Unnamed(names, words, block.widened(posterior.factor), posterior, posterior.log_evidence - alone, tried))
 
-    for words, (names, columns) in {**plain(study), **drifts(study)}.items():
-        attempt(names, words, columns)
-    for name, shape in shapes(study).items():
+    for kind in (plain(study), drifts(study)):
+        for words, (names, columns) in kind.items():
+            attempt(names, words, columns, len(kind))
+    shaped = shapes(study)
+    for name, shape in shaped.items():
         check()
         for words, (brings, directions) in along.items():
             columns = (directions[:, :, :, None] * shape[:, None, None, :]).reshape(len(directions), 3, -1)
-            attempt((name, *(v for v in brings if v != name)), words, columns)
+            attempt((name, *(v for v in brings if v != name)), words, columns, len(shaped) * len(along))
     return sorted(found, key=lambda u: -u.log_evidence)
 
 

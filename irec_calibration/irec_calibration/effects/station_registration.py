@@ -21,6 +21,7 @@ class StationRegistration(Effect):
     )
     acts_on = "instrument"
     in_prediction = False
+    needs_elastic = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(
@@ -33,7 +34,7 @@ class StationRegistration(Effect):
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.measured_from_station is None:
             return np.zeros((len(scene), 3, len(theta)))
-        d = np.nan_to_num(scene.measured_from_station)
+        d = scene.noise_free_from_station()
         turned = np.stack([-np.cross(e, d) for e in np.eye(3)], axis=2)
         known = [s for s in range(len(scene.stations)) if scene.station_known[s]]
         if not known:

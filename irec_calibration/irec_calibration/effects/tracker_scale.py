@@ -19,6 +19,7 @@ class TrackerScale(Effect):
     )
     acts_on = "instrument"
     in_prediction = False
+    needs_elastic = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return (Parameter("s", "1", 0.01, -0.5, 0.5, plausible=(-0.1, 0.1)),)
@@ -29,4 +30,4 @@ class TrackerScale(Effect):
         if scene.kind == "absolute" and scene.modelled_from_station is not None:
             # the measured vector itself would let a fit with free geometry shrink robot, measurement and error together
             return scene.modelled_from_station[:, :, None]
-        return np.nan_to_num(scene.measured_from_station)[:, :, None]
+        return scene.noise_free_from_station()[:, :, None]
