@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..effects import Effect, known_effects
-from ..errors import SolveError
+from ..errors import EffectError, SolveError
 from ..model import Estimate, Term
 from .candidates import Trial, block_at, try_effect
 from .priors import FACTORS
@@ -71,7 +71,10 @@ def try_all(
         if effect.id in present:
             continue
         why = study.why_not(effect)
-        trial = None if why else try_effect(study, effect, check)
+        try:
+            trial = None if why else try_effect(study, effect, check)
+        except (EffectError, SolveError) as error:
+            trial, why = None, str(error)
         if trial is None:
             skipped[effect.id] = why or "it moves nothing in this session"
         else:
