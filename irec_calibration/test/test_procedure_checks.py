@@ -14,6 +14,7 @@ from irec_calibration.poses.ik import Chain, solve_pose
 from irec_calibration.poses.pool import generate_pool
 from irec_calibration.procedure.checks import plan_targets
 from irec_calibration.procedure.settings import read_acceptance, read_settings
+from irec_calibration.surface import Block
 
 CELLS = Path(__file__).parents[2] / "config" / "cells"
 
@@ -109,3 +110,17 @@ def test_the_cells_that_come_with_it_are_complete(name: str) -> None:
     cell = read_cell(CELLS / f"{name}.yaml")
     assert read_settings(cell).timeouts.keys() >= {"home", "settle", "retract"}
     assert read_acceptance(cell).min_poses >= 2
+
+
+def test_the_tool_stays_out_of_the_block_on_the_way_from_home_to_every_planned_approach() -> None:
+    cell = read_cell(CELLS / "milling.yaml")
+    pool = generate_pool(cell, 25)
+    targets = plan_targets(cell, read_settings(cell), pool.q, pool.rail, list(range(1, len(pool) + 1)))
+    block = cell.surface
+    assert isinstance(block, Block)
+    assert {tuple(n.round()) for n in pool.normal_in_cell} > {(0.0, 0.0, 1.0)}  # not only from above
+    for target in targets:
+        assert not target.problem
+        q = cell.home + np.linspace(0.0, 1.0, 100)[:, None] * (target.q_approach - cell.home)
+        local = (cell.robot.kinematics(q).p_tcp - block.p_in_cell) @ block.R_in_cell
+        assert (np.abs(local) > 0.5 * np.array(block.size)).any(axis=1).all()

@@ -34,7 +34,7 @@ REASONS = {
 }
 _ATTEMPTS = 24
 _ACCEPTED = len(REASONS)
-_WAY_STEPS = 10  # configurations between HOME and an approach pose that are checked
+_WAY_STEPS = 32  # configurations between HOME and an approach pose that are checked
 
 
 @dataclass(frozen=True)
@@ -230,12 +230,15 @@ class Checker:
         share = np.linspace(0.0, 1.0, _WAY_STEPS)[:, None]
         q = (cell.home + share[:, :, None] * (q_approach - cell.home)).reshape(-1, cell.robot.n_joints)
         p, R, _ = self.chain.forward(q)
-        hull = p[:, None] + np.einsum("nij,sj->nsi", R, cell.hull[:, :3])
+        # the disc at the TCP is no part of the hull, since it has to touch in the end
+        spheres = np.vstack([cell.hull, [0.0, 0.0, 0.0, max(cell.pad_radius, self._spacing)]])
+        centres = p[:, None] + np.einsum("nij,sj->nsi", R, spheres[:, :3])
+        limit = spheres[:, 3] + cell.clearance
         starts: list[Array | float] = [rail] if cell.rail is None else [rail, cell.rail.lower, cell.rail.upper]
         touches = np.zeros(len(rail), dtype=bool)
         for start in starts:
             base = cell.base_in_cell((start + share * (rail - start)).ravel())
-            near = self._tooling.query(hull + base[:, None])[0] < cell.hull[:, 3] + cell.clearance
+            near = self._tooling.query(centres + base[:, None], distance_upper_bound=limit.max())[0] < limit
             touches |= near.any(axis=1).reshape(_WAY_STEPS, -1).any(axis=0)
         return touches
 
