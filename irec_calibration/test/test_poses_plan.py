@@ -260,3 +260,24 @@ def test_a_wrong_cell_file_is_refused_with_file_and_key(tmp_path, edit, said):
     with pytest.raises(CellError, match=said) as caught:
         read_cell(path)
     assert "cell.yaml" in str(caught.value)
+
+
+def test_a_cell_may_state_its_tooling_as_a_mesh_file(tmp_path, afp):
+    trimesh = pytest.importorskip("trimesh", reason="extra 'mesh' is not installed")
+    mesh = afp.surface.mesh()
+    local = (mesh.vertices - afp.surface.p_in_cell) @ afp.surface.R_in_cell
+    trimesh.Trimesh(1000 * local, mesh.corners, process=False).export(tmp_path / "mould.stl")
+    content = yaml.safe_load((CELLS / "afp.yaml").read_text())
+    content["robot"]["urdf"] = str((CELLS / content["robot"]["urdf"]).resolve())
+    placed = {key: content["surface"][key] for key in ("xyz", "quat_xyzw")}
+    content["surface"] = {"kind": "mesh", "file": "mould.stl", "scale": 0.001, **placed}
+    (tmp_path / "cell.yaml").write_text(yaml.safe_dump(content))
+    plan = make_plan(read_cell(tmp_path / "cell.yaml"), 4, pool_size=40)
+    x, y, z = ((plan.pool.p_in_cell - afp.surface.p_in_cell) @ afp.surface.R_in_cell).T
+    np.testing.assert_allclose(z, -(x**2) / (2 * 2.0) - y**2 / (2 * 2.5), atol=3e-4)  # flat triangles of 4 cm
+
+
+def test_an_empty_pool_ends_with_exit_code_2(tmp_path, capsys):
+    arguments = ["plan", str(CELLS / "afp.yaml"), "-n", "1", "--pool", "0", "-o", str(tmp_path / "poses.yaml")]
+    assert main(arguments) == 2
+    assert "a pool of 0 candidates was asked for" in capsys.readouterr().err
