@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.ros
 CELL = Path(__file__).parents[2] / "config" / "cells" / "afp.yaml"
 SPRING = Term(find_effect("joint_torsion"))
-PATIENCE = 120.0  # s of the machine's clock
+PATIENCE = 240.0  # s of the machine's clock
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 
