@@ -221,7 +221,9 @@ class Scene:
         kin = {f.name: getattr(self.kin, f.name) for f in fields(self.kin)}
         position = np.full(n + 1, -1)
         position[rows] = np.arange(len(rows))
-        changed: dict[str, object] = {f.name: cut(getattr(self, f.name)) for f in fields(self) if f.name not in ("robot", "gravity_in_base")}
+        changed: dict[str, object] = {
+            f.name: cut(getattr(self, f.name)) for f in fields(self) if f.name not in ("robot", "gravity_in_base")
+        }
         changed |= {
             "kin": Kinematics(**{k: cut(v) if k not in ("is_prismatic", "virtual_in_joint") else v for k, v in kin.items()}),
             "driven": self.driven,
