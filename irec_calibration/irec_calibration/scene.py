@@ -8,6 +8,7 @@ TCP and has no measured positions at all, so a prediction can't read marker colu
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -215,13 +216,13 @@ class Scene:
         """Some rows of an absolute session only; step, load and history of each stay what they were."""
         n = len(self)
 
-        def cut(value: object) -> object:
+        def cut(value: Any) -> Any:
             return value[rows] if isinstance(value, np.ndarray) and len(value) == n else value
 
         kin = {f.name: getattr(self.kin, f.name) for f in fields(self.kin)}
         position = np.full(n + 1, -1)
         position[rows] = np.arange(len(rows))
-        changed: dict[str, object] = {
+        changed: dict[str, Any] = {
             f.name: cut(getattr(self, f.name)) for f in fields(self) if f.name not in ("robot", "gravity_in_base")
         }
         changed |= {
@@ -232,7 +233,7 @@ class Scene:
             "temperature": {k: v[rows] for k, v in self.temperature.items()},
             "_cache": {},
         }
-        return replace(self, **changed)  # type: ignore[arg-type]
+        return replace(self, **changed)
 
     def change(self, displacement: Array) -> Array:
         """What a session of this kind observes of a displacement per row: its change against the reference row."""
