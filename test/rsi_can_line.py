@@ -124,6 +124,8 @@ class Line:
         q, rail = cell.joints()
         p, R = cell.tcp()
         abc = Rotation.from_matrix(R).as_euler("ZYX")
+        # nothing holds a controller up: where this process was, the cycle gets longer, not the time to answer shorter
+        until = max(until, time.perf_counter() + 0.75 * PERIOD)
         correction = self.controller.cycle(RobotState(q, p, abc, rail), until)
         if not self.controller.stopped:
             turn = Rotation.from_euler("ZYX", correction.abc).as_rotvec()
@@ -136,9 +138,8 @@ class Line:
         for i in range(round(seconds / PERIOD)):
             each(i * PERIOD)
             due += PERIOD
-            if time.perf_counter() > due - 0.5 * PERIOD:  # this process was held up; a controller is not
-                due = time.perf_counter() + PERIOD
             self.cycle(due)
+            due = max(due, time.perf_counter())
             if self.controller is not None and self.controller.stopped:
                 return
             time.sleep(max(0.0, due - time.perf_counter()))

@@ -46,32 +46,88 @@ def test_course_is_held_through_rsi_and_can(model, port, ros_domain, start_proce
     plain = without_correction(line, SPEED)
     mean = [np.linalg.norm(d, axis=1).mean() for d in (plain, corrected)]
     worst = [np.linalg.norm(d, axis=1).max() for d in (plain, corrected)]
+    print(f"mean {1e3 * mean[0]:.4f} -> {1e3 * mean[1]:.4f} mm, max {1e3 * worst[0]:.4f} -> {1e3 * worst[1]:.4f} mm")  # pytest -s
     assert mean[1] < 0.1 * mean[0], (mean, worst)
     assert worst[1] < 0.25 * worst[0], (mean, worst)
     assert line.largest_step <= STEP
     line.adapter.unplug()
 
 
+class Operator:
+    """Puts the model in force again after a fault, by the service."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        from irec_msgs.srv import ActivateModel
+
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node("operator", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._request = ActivateModel.Request
+        self._client = self._node.create_client(ActivateModel, "irec/correction/activate_model")
+
+    def activate(self, line: Line, model: Path) -> None:
+        answer = self._client.call_async(self._request(model_path=str(model)))
+
+        def done() -> bool:
+            self._executor.spin_once(timeout_sec=0.0)
+            return answer.done()
+
+        line.until(done, 20.0, "answer of activate_model")
+        assert answer.result().success, answer.result().message
+        line.until(lambda: np.linalg.norm(line.sent[-1]) > UNDER_FORCE, 20.0, "offset after starting again")
+        line.drive(0.7)
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def children_of(pid: int) -> list[int]:
+    """Processes that a process has started, without Python's own helpers."""
+    children = [int(c) for c in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return [c for c in children if b"resource_tracker" not in Path(f"/proc/{c}/cmdline").read_bytes()]
+
+
 def test_failures_make_no_step_and_only_a_dead_process_stops_the_robot(model, port, ros_domain, start_process, tmp_path):
     line, own = Line(), Path(shutil.copy(model, tmp_path / "in_force.yaml"))
+    operator = Operator()  # before the robot runs: a controller that is silent for long begins a new session
     _, bridge = line.start(start_process, own, port)
     pressed(line)
     controller = line.controller
     controller.timeout = 100
     held = line.sent[-1]
-    for packets in (1, 5):
-        controller.faults.lose_answers = packets
-        line.drive(0.3)
-        controller.faults.lose_sent = packets
-        line.drive(0.3)
+    for way, packets, times in (("lose_answers", 1, 1), ("lose_sent", 1, 1), ("lose_answers", 5, 40), ("lose_sent", 5, 1)):
+        for _ in range(times):  # 40 times 5: 200 packets
+            setattr(controller.faults, way, packets)
+            line.drive(0.04)
     own.write_text("format: irec-model/1\neffects: []\n")  # swapped under it: the model in force is the one that was read
     line.drive(0.3)
     assert np.linalg.norm(line.sent[-1] - held) < 5e-5
+
+    def gone() -> bool:
+        return bool(np.linalg.norm(line.sent[-1]) < 2e-7)
+
+    for fault in ("silent", "frozen"):
+        setattr(line.sensor.faults, fault, True)
+        line.until(gone, 20.0, f"offset faded out while the sensor is {fault}")
+        setattr(line.sensor.faults, fault, False)
+        line.drive(0.3)
+        assert gone()  # it waits for the operator
+        operator.activate(line, model)
     line.adapter.unplug()
-    line.until(lambda: np.linalg.norm(line.sent[-1]) < 2e-7, 20.0, "offset faded out after CAN was unplugged")
-    line.drive(0.3)
-    assert not controller.stopped
+    line.until(gone, 20.0, "offset faded out after CAN was unplugged")
+    for node in children_of(bridge.pid):
+        os.kill(node, signal.SIGKILL)
+    line.drive(0.5)
+    assert gone() and not controller.stopped
     assert line.largest_step <= STEP
+    operator.close()
     os.kill(bridge.pid, signal.SIGKILL)
     line.drive(2.0)
     assert "packets in a row" in controller.stopped

@@ -42,13 +42,7 @@ def write_bag(path: Path, load: ToolLoad) -> Path:
             header = {"stamp": {"sec": int(now), "nanosec": int(now % 1.0 * 1e9)}, "frame_id": ""}
             ns = int(now * 1e9)
             if i % 2 == 0:
-                state = {
-                    "header": header,
-                    "name": list(robot.joint_names),
-                    "position": q[i].tolist(),
-                    "velocity": [],
-                    "effort": [],
-                }
+                state = {"header": header, "name": list(robot.joint_names), "position": q[i].tolist(), **empty}
                 writer.write_message("/joint_states", joints, state, log_time=ns)
             w = load.reading(R[i], np.array([0.0, 0.0, -9.81])) + rng.normal(0, (0.5, 0.5, 0.5, 0.05, 0.05, 0.05))
             parts = {"force": _vector(w[:3]), "torque": _vector(w[3:])}
