@@ -19,7 +19,7 @@ from .held_out import HeldOut, gain, held_out
 from .judge import Judgement, judge, p_value
 from .next_poses import next_measurements
 from .result import Candidate, Diagnosis, Measurement
-from .search import NATS_TO_SEPARATE, Hypothesis, Search, search
+from .search import NATS_TO_NAME, NATS_TO_SEPARATE, Hypothesis, Search, search
 from .study import Study, prepare
 from .tool_weight import Readings, reference_readings
 from .where import views
@@ -27,6 +27,7 @@ from .wording import put_in_words
 
 Progress = Callable[[float, str], None]
 TOOL_WEIGHT = "tool_weight"
+STATION_SHIFT = "station_shift"
 
 
 def start_terms(session: Session) -> tuple[Term, ...]:
@@ -109,7 +110,7 @@ def examine(
 
 
 def _candidates(found: Search, verdict: Judgement, readings: Readings | None, check: Callable[[], None]) -> tuple[Candidate, ...]:
-    """The table of candidates, best first; the named effect leads."""
+    """The table of candidates, by error on held-out poses."""
     exact = {h.ids[0]: h for h in found.singles}
     base = verdict.held_out_base
     out = []
@@ -131,9 +132,16 @@ def _candidates(found: Search, verdict: Judgement, readings: Readings | None, ch
                 {n: {"value": e.value, "se": e.se, "unit": e.unit} for n, e in term.estimates.items()},
             )
         )  # fmt: skip
-    first = verdict.chosen.ids[0] if verdict.chosen and len(verdict.chosen.ids) else ""
-    out.sort(key=lambda c: (c.effect != first, -c.log_evidence))
+    blind = _blind_to_held_out_poses(verdict)
+    out.sort(key=lambda c: (c.effect not in blind, not np.isfinite(c.cv_rms_m), c.cv_rms_m, -c.log_evidence))
     return tuple(replace(c, confusable_with=_confusable(c, out)) for c in out)
+
+
+def _blind_to_held_out_poses(verdict: Judgement) -> set[str]:
+    """Named effects whose evidence is elsewhere than in the error on held-out poses: they lead the table."""
+    out = {STATION_SHIFT} & set(verdict.chosen.ids if verdict.chosen else ())
+    weight = verdict.readings is not None and verdict.readings.log_evidence > NATS_TO_NAME
+    return out | ({TOOL_WEIGHT} if weight else set())
 
 
 def _confusable(one: Candidate, all_of_them: Sequence[Candidate]) -> tuple[str, ...]:
