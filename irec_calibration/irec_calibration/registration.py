@@ -7,6 +7,7 @@ at all starts as well as one that does; then a robust nonlinear refinement. What
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from .typing import Array, IntArray
 
 ROWS_ENOUGH = 3000  # a start value does not need more
 TRIM = 6.0  # median residuals beyond which a row does not take part in the second closed-form pass
+WANDER = 0.1  # m; how far a marker may be from where it is stated before that counts like the misfit of the nominal robot
 G = 9.81  # m/s^2
 
 
@@ -66,7 +68,8 @@ def registered(session: Session, kin: Kinematics) -> Session:
     closed = _closed_form(data, *stated)
     distance = np.linalg.norm(_residual(data, *closed), axis=1)
     starts += [closed, _closed_form(data.take(distance <= TRIM * np.median(distance) + 1e-9), *stated)]
-    refined = [_refine(data, *start, free_s, free_m) for start in starts]
+    given = [m.xyz for m in session.markers]
+    refined = [_refine(data, *start, free_s, free_m, given) for start in starts]
     _, stations, markers = min(refined, key=lambda f: f[0])
     return replace(session, stations=stations, markers=markers)
 
@@ -147,7 +150,12 @@ def _closed_form(
 
 
 def _refine(
-    data: _Rows, stations: tuple[Station, ...], markers: tuple[Marker, ...], free_s: list[int], free_m: list[int]
+    data: _Rows,
+    stations: tuple[Station, ...],
+    markers: tuple[Marker, ...],
+    free_s: list[int],
+    free_m: list[int],
+    given: Sequence[tuple[float, float, float]],
 ) -> tuple[float, tuple[Station, ...], tuple[Marker, ...]]:
     """Robust least squares about a start; its cost with the result."""
 
@@ -162,13 +170,23 @@ def _refine(
             m[i] = replace(markers[i], xyz=tuple(map(float, np.array(markers[i].xyz) + d)))  # type: ignore[arg-type]
         return tuple(s), tuple(m)
 
+    stated = np.array([given[i] for i in free_m]).reshape(-1)
+
     def residual(x: Array) -> Array:
         return _residual(data, *moved(x)).ravel()
+
+    def held(x: Array) -> Array:
+        # a tool that never tilts does not show how long it is: without this a marker would wander off by metres
+        at = np.array([moved(x)[1][i].xyz for i in free_m]).reshape(-1)
+        return np.concatenate([residual(x), typical * np.sqrt(len(data.v)) / WANDER * (at - stated)])
 
     x0 = np.zeros(6 * len(free_s) + 3 * len(free_m))
     typical = max(float(np.median(np.abs(residual(x0)))), 1e-7)
     for _ in range(2):  # the second pass with the scale that the first one reached
-        found = least_squares(residual, x0, loss="soft_l1", f_scale=3.0 * typical, max_nfev=60, x_scale=0.1)
+        found = least_squares(held, x0, loss="soft_l1", f_scale=3.0 * typical, max_nfev=60, x_scale=0.1)
         x0 = found.x
         typical = max(float(np.median(np.abs(residual(x0)))), 1e-7)
-    return float(np.median(np.linalg.norm(_residual(data, *moved(x0)), axis=1))), *moved(x0)
+    wandered = held(x0)[3 * len(data.v) :]
+    # the median: rows that are no measurement must not choose between starts
+    middle = float(np.median(np.linalg.norm(_residual(data, *moved(x0)), axis=1)))
+    return len(data.v) * middle**2 + float((wandered**2).sum()), *moved(x0)

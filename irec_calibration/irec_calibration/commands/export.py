@@ -5,20 +5,29 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import SessionError
 from ..session import read_session, write_table
+from ..session.align import align_bag, in_words
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("session", help="MCAP file, rosbag2 folder or folder of a table")
+    parser.add_argument(
+        "--profile", help="mapping file (irec-align/1) for a recording without load cases: joint states and tracker points"
+    )
     parser.add_argument("-o", "--output", required=True, help="folder for session.yaml, samples.csv and robot.urdf")
     parser.add_argument("--json", action="store_true", help="machine-readable summary on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
-    session = read_session(args.session)
+    if args.profile:
+        session, delay = align_bag(args.session, args.profile)
+        session = replace(session, notes=(*in_words(delay), *session.notes))
+    else:
+        session = read_session(args.session)
     output = Path(args.output)
     if output.resolve() == Path(args.session).resolve():
         raise SessionError(f"{output}: is the session itself; name another folder")
