@@ -5,16 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 from irec_calibration.procedure.checks import Target
-from irec_calibration.procedure.machine import (
-    CancelMove,
-    Event,
-    ForceSetpoint,
-    MoveJoint,
-    MoveLinear,
-    Procedure,
-    Row,
-    SwitchMode,
-)
+from irec_calibration.procedure.commands import CancelMove, Event, ForceSetpoint, MoveJoint, MoveLinear, Row, SwitchMode
+from irec_calibration.procedure.machine import Procedure
 from irec_calibration.procedure.settings import Settings, Settling
 from irec_calibration.procedure.settle import Streams
 from irec_calibration.procedure.table import STATES

@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from fake_robot import FORCES, FakeRobot
-from irec_calibration.procedure.machine import ForceSetpoint, MoveJoint, MoveLinear, Procedure, SwitchMode
+from irec_calibration.procedure.commands import ForceSetpoint, MoveJoint, MoveLinear, SwitchMode
+from irec_calibration.procedure.machine import Procedure
 from irec_calibration.procedure.table import STATES
 
 

@@ -3,13 +3,10 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
 import threading
 from collections.abc import Callable
 from datetime import datetime
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +32,9 @@ from ..model_file import check_belongs, save_model
 from ..procedure.settings import read_acceptance
 from ..recalibration import Register, judge
 from ..session import read_session
+from .analyses import READERS, arguments_of, diagnosed, run_command
 
 ANSWER_WAIT = 10.0  # s for another node to answer
-ANALYSES = ("compare", "diagnose", "add", "improve")
-STATUSES = ("adequate", "missing_effect", "unexplained")
 
 
 class CalibrationNode(Node):
@@ -164,17 +160,14 @@ class CalibrationNode(Node):
 
     def _diagnose(self, session_path: Path, model_path: Path) -> tuple[str, list[str], str]:
         """Status, effects and a sentence for the operator."""
-        if find_spec("irec_calibration.commands.diagnose") is None:
-            return "not_evaluated", [], ""
         try:
-            found = _command(["diagnose", str(session_path), "--json", "-o", str(model_path.with_suffix(".diagnosis.json"))])
-            verdict = found["verdict"]
-            effects = [str(e) for e in verdict.get("effects", [])]
-            if verdict["status"] == "adequate":
-                return "adequate", [], "The model explains this robot as far as the instruments can see."
-            return str(verdict["status"]), effects, f"The model no longer explains this robot: {verdict['text']}"
+            found = run_command(["diagnose", str(session_path), "--json", "-o", str(model_path.with_suffix(".diagnosis"))])
+            status, effects, _, words = diagnosed(found)
         except (IrecError, KeyError, TypeError) as error:
             return "not_evaluated", [], f"The diagnosis could not be made ({error})."
+        if status == "adequate":
+            return status, [], "The model explains this robot as far as the instruments can see."
+        return status, effects, f"The model no longer explains this robot: {words}"
 
     # --- analyse ----------------------------------------------------------------------------------------------------
 
@@ -185,13 +178,13 @@ class CalibrationNode(Node):
             self._analyse(request, response)
         except IrecError as error:
             response.success, response.message = False, str(error)
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            response.success, response.message = False, f"irec {request.command} answered without {error!r}"
         return response
 
     def _analyse(self, request: AnalyseSession.Request, response: AnalyseSession.Response) -> None:
-        if request.command not in ANALYSES:
-            raise IrecError(f"command is '{request.command}', one of {', '.join(ANALYSES)} is needed")
-        if find_spec(f"irec_calibration.commands.{request.command}") is None:
-            raise IrecError(f"'{request.command}' is not part of this installation")
+        if request.command not in READERS:
+            raise IrecError(f"command is '{request.command}', one of {', '.join(READERS)} is needed")
         session_path = request.session_path or self._last_session
         if not session_path:
             raise SessionError("no session has been recorded since the node started; give session_path")
@@ -200,47 +193,12 @@ class CalibrationNode(Node):
             current = self.register.current(self.cell.serial)
             model_path = "" if current is None else str(current[0])
         output = request.output_path or str(Path(session_path).with_suffix(f".{request.command}"))
-        found = _command(_arguments(request.command, session_path, model_path, request.effect, output))
-        response.success = True
-        verdict = found.get("verdict", {})
-        status = verdict.get("status", "")
-        response.status = status if status in STATUSES else "not_evaluated"
-        response.effects = [str(e) for e in verdict.get("effects", found.get("effects", []))]
-        model = found.get("model")
-        figures = model if isinstance(model, dict) else found
-        response.cross_validated_rms = float(figures.get("cv_rms_m") or "nan")
+        found = run_command(arguments_of(request.command, session_path, model_path, request.effect, output))
+        response.status, response.effects, response.cross_validated_rms, response.message = READERS[request.command](found)
         response.noise_floor = float(found.get("noise_floor_m") or "nan")
-        response.message = str(verdict.get("text") or found.get("text") or f"{request.command} done; results in {output}")
-        made = Path(output)
+        response.success = True
+        made = Path(f"{output}.yaml") if request.command == "add" else Path(output)
         response.files = [str(p) for p in sorted(made.iterdir())] if made.is_dir() else [str(made)] if made.exists() else []
-
-
-def _arguments(command: str, session: str, model: str, effect: str, output: str) -> list[str]:
-    """Command line of an analysis, as a user would type it."""
-    if command == "add":
-        if not effect or not model:
-            raise IrecError("add needs the id of an effect and a model; see `irec effects`")
-        return ["add", effect, model, session, "--json", "-o", output]
-    if command == "compare":
-        if not model:
-            raise IrecError("compare needs a model; none is in force, give model_path")
-        return ["compare", model, session, "--json", "-o", output]
-    return [command, session, *(["--model", model] if model else []), "--json", "-o", output]
-
-
-def _command(arguments: list[str]) -> dict[str, Any]:
-    """Run one `irec` command in a process of its own; its JSON. IrecError with its message where it fails."""
-    done = subprocess.run(
-        [sys.executable, "-m", "irec_calibration.cli", *arguments], capture_output=True, text=True, check=False
-    )
-    if done.returncode not in (0, 1):
-        lines = done.stderr.strip().splitlines()
-        raise IrecError(lines[-1] if lines else f"irec {arguments[0]} ended with code {done.returncode}")
-    try:
-        found = json.loads(done.stdout)
-    except json.JSONDecodeError as error:
-        raise IrecError(f"irec {arguments[0]} did not answer in JSON: {error}") from error
-    return found if isinstance(found, dict) else {"result": found}
 
 
 def _fill(response: SolveCompliances.Response, model: Model) -> None:

@@ -35,7 +35,8 @@ from ..cell import read_cell
 from ..errors import CellError, IrecError
 from ..poses.store import read_poses
 from ..procedure.checks import plan_targets
-from ..procedure.machine import Event, Procedure, Row
+from ..procedure.commands import Event, Row
+from ..procedure.machine import Procedure
 from ..procedure.recorder import SessionRecorder
 from ..procedure.settings import read_settings
 from ..procedure.settle import Streams

@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 from irec_msgs.action import Move
 from irec_msgs.srv import SetControlMode
 
-from ..procedure.machine import CancelMove, ForceSetpoint, MoveJoint, MoveLinear, Procedure, SwitchMode
+from ..procedure.commands import CancelMove, ForceSetpoint, MoveJoint, MoveLinear, SwitchMode
+from ..procedure.machine import Procedure
 
 STATUS_CANCELED = 5
 Answer = Callable[[bool, str], None]
