@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -57,6 +58,8 @@ def guarded(args: argparse.Namespace, run: Callable[[argparse.Namespace], None])
     from demo_parts.operator import AskedInVain
     from demo_parts.processes import NodeEnded
 
+    for number in (signal.SIGINT, signal.SIGTERM):  # both end the nodes, also where SIGINT was ignored by who started this
+        signal.signal(number, signal.default_int_handler)
     try:
         run(args)
     except (IrecError, AskedInVain, NodeEnded, ValueError) as error:

@@ -10,6 +10,7 @@ from typing import Any
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 
 from irec_msgs.action import Move, RunProcedure
 
@@ -24,7 +25,7 @@ class Operator:
     """Blocking calls with a look at the processes while waiting."""
 
     def __init__(self, watch: Callable[[], None]) -> None:
-        rclpy.init()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # an interrupt first lets the robot retract
         self.node = rclpy.create_node("demo_operator")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
