@@ -87,7 +87,7 @@ class Line:
         self.timeout = timeout
         self.controller: RsiController | None = None
         self.block = f"irec_test_{uuid.uuid4().hex}"
-        self.sent = [np.zeros(3)]
+        self.sent, self.answered_in = [np.zeros(3)], [0]
 
     def start(self, start_process: Callable, model: Path, port: int) -> tuple:
         """The two processes of the correction, as an integrator would start them."""
@@ -126,11 +126,15 @@ class Line:
         abc = Rotation.from_matrix(R).as_euler("ZYX")
         # nothing holds a controller up: where this process was, the cycle gets longer, not the time to answer shorter
         until = max(until, time.perf_counter() + 0.75 * PERIOD)
+        answered = self.controller.counts.answered
         correction = self.controller.cycle(RobotState(q, p, abc, rail), until)
-        if not self.controller.stopped:
-            turn = Rotation.from_euler("ZYX", correction.abc).as_rotvec()
-            cell.set_offset(correction.translation, turn, cell.time)
+        if self.controller.stopped:
+            return
+        if self.controller.counts.answered > answered:
             self.sent.append(correction.translation)
+            self.answered_in.append(self.controller.counts.cycles)
+        turn = Rotation.from_euler("ZYX", correction.abc).as_rotvec()
+        cell.set_offset(correction.translation, turn, cell.time)
 
     def drive(self, seconds: float, each: Callable[[float], None] = lambda _: None) -> None:
         """Cycles in real time; `each` is told the time since the beginning before each one."""
@@ -156,7 +160,9 @@ class Line:
 
     @property
     def largest_step(self) -> float:
-        return float(np.linalg.norm(np.diff(np.array(self.sent), axis=0), axis=1).max())
+        """Per cycle: an answer that comes two cycles after the one before may be two steps away from it."""
+        steps = np.linalg.norm(np.diff(np.array(self.sent), axis=0), axis=1)
+        return float((steps / np.maximum(np.diff(self.answered_in), 1)).max())
 
 
 def course_deviation(

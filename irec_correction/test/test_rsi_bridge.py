@@ -38,7 +38,7 @@ class Drive:
     def __init__(self, port: int, block: SharedValues) -> None:
         self.controller = RsiController(("127.0.0.1", port), timeout=10**6)
         self.block, self.rng = block, np.random.default_rng(0)
-        self.sent = [np.zeros(3)]
+        self.sent, self.cycle = [np.zeros(3)], [0]
 
     def state(self) -> RobotState:
         self.block.write(np.array([time.monotonic(), self.controller.counts.cycles, 0.0, *(WRENCH + self.rng.normal(0, 0.2, 6))]))
@@ -50,11 +50,17 @@ class Drive:
             assert time.monotonic() < end, (
                 f"{what} not within {seconds} s; offset {self.sent[-1]}, {self.controller.counts.late} late"
             )
-            self.controller.run(10, self.state, lambda c: self.sent.append(c.translation))
+            self.controller.run(10, self.state, self.act)
+
+    def act(self, correction) -> None:
+        self.sent.append(correction.translation)
+        self.cycle.append(self.controller.counts.cycles)
 
     @property
     def largest_step(self) -> float:
-        return float(np.linalg.norm(np.diff(np.array(self.sent), axis=0), axis=1).max())
+        """Per cycle."""
+        steps = np.linalg.norm(np.diff(np.array(self.sent), axis=0), axis=1)
+        return float((steps / np.maximum(np.diff(self.cycle), 1)).max())
 
 
 def children_of(pid: int) -> list[int]:
