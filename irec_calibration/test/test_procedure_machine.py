@@ -266,6 +266,16 @@ def test_too_many_skipped_poses_end_the_run() -> None:
     assert "limit 50%" in robot.procedure.stopped_because
 
 
+def test_the_operator_is_told_which_pose_of_how_many() -> None:
+    robot = FakeRobot(3, bad={2: "out of reach"}, repeats=2).start()
+    places = []
+    while not robot.procedure.finished:
+        robot.tick()
+        places.append(robot.procedure.place)
+    assert sorted(set(places)) == [1, 3] and places == sorted(places)
+    assert robot.procedure.total == 3
+
+
 def test_the_time_left_falls_to_nothing() -> None:
     robot = FakeRobot(3).start()
     left = []

@@ -48,8 +48,8 @@ def residuals_figure(session: Session, models: dict[str, Model], path: Path) -> 
     bottom.set_xlabel("sample (pose by pose, load case by load case)")
     bottom.set_ylim(bottom=0)
     top.set_ylim(bottom=0)
-    top.legend(loc="upper right", fontsize=8)
-    bottom.legend(loc="upper right", fontsize=8, ncols=2)
+    lines = {line.get_label(): line for axes in (top, bottom) for line in axes.get_lines()}
+    figure.legend(lines.values(), lines.keys(), loc="outside lower center", fontsize=8, ncols=3)
     top.set_title(f"{session.name}: {len(session.poses)} poses, {len(rows)} loaded samples")
     return _save(figure, path)
 
@@ -63,7 +63,7 @@ def course_figure(without: Course, corrected: Course, tolerance_m: float, path: 
     axes.plot(corrected.way, 1e3 * corrected.lateral, color=BLUE, lw=1.2, label="with correction")
     axes.set_xlabel("way along the course [m]")
     axes.set_ylabel("lateral deviation of the TCP [mm]")
-    axes.legend(loc="best", fontsize=8)
+    figure.legend(loc="outside lower center", fontsize=8, ncols=3)
     axes.grid(alpha=0.25)
     return _save(figure, path)
 

@@ -86,7 +86,6 @@ class ProcedureNode(Node):
         self._begun = 0.0
         self._session_start = 0.0
         self._last_state = ""
-        self._poses_before = 0
 
     def _text(self, name: str, default: str, description: str) -> str:
         return str(self.declare_parameter(name, default, ParameterDescriptor(description=description)).value)
@@ -148,13 +147,12 @@ class ProcedureNode(Node):
             {s["name"]: _station(s).R_in_base for s in self.cell.raw["stations"]},
             repeats=int(request.repeats), done=frozenset(self._recorder.done),
         )  # fmt: skip
-        self._poses_before = len({pose for pose, _ in self._recorder.done})
         self._link.attach(self._procedure)
         self._instruments.find_temperatures()
         self._instruments.record_to(self._recorder)
         self._begun = time.monotonic()
         self._session_start = 0.0
-        where = f"going on after {self._poses_before} complete poses" if self._recorder.done else "from the beginning"
+        where = f"going on after {len(self._recorder.done)} complete poses" if self._recorder.done else "from the beginning"
         self.get_logger().info(f"{len(targets)} poses from {poses_path}, {where}; recording to {self._recorder.path}")
 
     def _new_path(self, request: RunProcedure.Goal) -> Path:
@@ -278,9 +276,7 @@ class ProcedureNode(Node):
         procedure = self._procedure
         if procedure is not None:
             status.state = procedure.state
-            # positions in the run, not numbers of the pose file: the operator counts "i of N"
-            status.poses = procedure.total
-            status.pose = min(procedure.total, self._poses_before + procedure.counts.complete + procedure.counts.skipped + 1)
+            status.pose, status.poses = procedure.place, procedure.total
             status.load_case, status.load_cases = procedure.case, len(procedure.forces)
             status.rejected = procedure.counts.rejected
             status.paused = procedure.state == "paused"

@@ -63,6 +63,7 @@ class Procedure:
             if not target.problem and (target.pose, repeat) not in done
         ]
         self.total = len(targets)
+        self._place = {target.pose: i for i, target in enumerate(targets, 1)}
         self.counts = Counts()
         self.state = "idle"
         self.case = 0
@@ -137,6 +138,11 @@ class Procedure:
     @property
     def repeat(self) -> int:
         return self.work[self._index][1] if self._index < len(self.work) else 0
+
+    @property
+    def place(self) -> int:
+        """Which of the poses of the run is worked on, from 1; pose numbers of a file need not be consecutive."""
+        return self._place[self.target.pose] if self.target else self.total
 
     @property
     def finished(self) -> bool:
