@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
+import absolute_sessions
 import numpy as np
 import pytest
 import synthetic
@@ -22,7 +23,7 @@ from irec_calibration.identify import identify, model_of
 from irec_calibration.model import EIGHTEEN_DOF, Model, blank_model
 from irec_calibration.model_file import load_model, save_model
 from irec_calibration.scene import Scene, scene_of
-from irec_calibration.session import Session
+from irec_calibration.session import Noise, Session
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -207,3 +208,8 @@ def test_next_measurements_part_the_rivals() -> None:
     planned = diagnosis(play_of_axis_4).next_measurements
     assert planned and planned[0].difference_m > 0.0
     assert all(a.gain >= b.gain for a, b in zip(planned, planned[1:], strict=False))
+
+
+def test_an_absolute_session_that_the_geometric_model_explains_is_adequate() -> None:
+    quiet = absolute_sessions.session(poses=60, noise=Noise(tracker_m=2e-5))
+    assert diagnose(quiet).verdict.status == "adequate"

@@ -94,7 +94,8 @@ def block_at(study: Study, variant: Variant, shape: dict[str, float]) -> Block:
 
 def try_effect(study: Study, effect: Effect, check: Callable[[], None] = lambda: None) -> Trial | None:
     """Try an effect in all its variants on top of a model; None where none of its columns shows in this session."""
-    alone = study.bench.posterior(study.base).log_evidence
+    without = study.bench.posterior(study.base)
+    alone = without.log_evidence
     tried: list[tuple[Variant, Posterior]] = []
     shapes = list(parts(study, effect))
     for shape, block, group, parameters in shapes:
@@ -130,10 +131,15 @@ def try_effect(study: Study, effect: Effect, check: Callable[[], None] = lambda:
             tried.append(variant(tuple(names)))
     if not tried:
         return None
-    score = np.array([p.log_evidence + v.log_prior for v, p in tried])
+    score = np.array([alone + supported(p.log_evidence - alone, without.chi2 - p.chi2) + v.log_prior for v, p in tried])
     best = int(np.argmax(score))
     total = float(score[best] + np.log(np.exp(score - score[best]).sum()))
     return Trial(effect, *tried[best], total - alone)
+
+
+def supported(log_evidence: float, chi2_saved: float) -> float:
+    """Evidence that the data bear out: without a fall of the residual, evidence only means that a prior was relieved."""
+    return min(log_evidence, max(chi2_saved, 0.0))
 
 
 def _forward(

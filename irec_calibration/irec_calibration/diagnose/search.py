@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from ..effects import Effect, known_effects
 from ..errors import EffectError, SolveError
 from ..model import Estimate, Term
-from .candidates import Trial, block_at, try_effect
+from .candidates import Trial, block_at, supported, try_effect
 from .priors import FACTORS
 from .study import Study, study_of
 
@@ -98,7 +98,8 @@ def refit(study: Study, base: Study, trial: Trial) -> Hypothesis | None:
     except SolveError:
         return None
     added = len(found.terms) - len(base.terms)
-    evidence = _evidence(found, added) - _evidence(base, 0) + variant.log_prior
+    saved = base.bench.posterior(base.base).chi2 - found.bench.posterior(found.base).chi2
+    evidence = supported(_evidence(found, added) - _evidence(base, 0), saved) + variant.log_prior
     return Hypothesis(found.terms[len(base.terms) :], found, evidence)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from ..typing import Array
+from .candidates import supported
 from .evidence import Block, Posterior
 from .study import Study
 
@@ -147,7 +148,7 @@ def drifts(study: Study) -> dict[str, tuple[tuple[str, ...], Array]]:
 
 def search(study: Study, check: Callable[[], None] = lambda: None) -> list[Unnamed]:
     """Try every structure on top of the model; best evidence first."""
-    alone = study.bench.posterior(study.base).log_evidence
+    alone = study.bench.posterior(study.base)
     own = slice(study.base.A.shape[1], None)
     along = frames(study)
     found: list[Unnamed] = []
@@ -159,7 +160,8 @@ def search(study: Study, check: Callable[[], None] = lambda: None) -> list[Unnam
             free = np.full(A.shape[1], np.inf)
             block = Block(A, -free, free, np.ones(A.shape[1]))
             posterior = study.bench.posterior(study.base + block, FACTORS, own)
-            found.append(Unnamed(names, words, block.widened(posterior.factor), posterior, posterior.log_evidence - alone, tried))
+            gained = supported(posterior.log_evidence - alone.log_evidence, alone.chi2 - posterior.chi2)
+            found.append(Unnamed(names, words, block.widened(posterior.factor), posterior, gained, tried))
 
     for kind in (plain(study), drifts(study)):
         for words, (names, columns) in kind.items():
