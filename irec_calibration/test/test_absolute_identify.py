@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Absolute sessions: geometry, stations and markers of a robot with known errors are found, whatever its joints and instruments."""
+"""Absolute sessions: geometry, stations and markers of a robot with known errors are found, whatever its joints and
+instruments."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A foreign recording (joint states and tracker points as topics, no load cases) to an `absolute` session.
 
-Each tracker point becomes a row with the joint angles at its time. Times are header stamps; whether the two sources agree about time is
-found from the motion itself and reported: a delay between them looks like a geometric error that follows the velocity.
+Each tracker point becomes a row with the joint angles at its time. Times are header stamps; whether the two sources agree
+about time is found from the motion itself and reported: a delay between them looks like a geometric error that follows the
+velocity.
 """
 
 from __future__ import annotations
