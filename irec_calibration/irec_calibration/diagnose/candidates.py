@@ -13,7 +13,7 @@ import numpy as np
 from ..effects import Effect, Parameter
 from ..typing import Array
 from .evidence import Block, Posterior
-from .priors import FACTORS, prior_width
+from .priors import FACTORS, log_odds, prior_width
 from .study import Study
 
 SMALLEST_COLUMN = 1e-3  # whitened length of a column at its parameter's scale below which it can't show
@@ -115,7 +115,9 @@ def try_effect(study: Study, effect: Effect, check: Callable[[], None] = lambda:
             names: list[str] = names,
         ) -> tuple[Variant, Posterior]:
             columns = [i for i in range(len(group)) if group[i] in chosen and shows[i]]
-            prior = -log(len(names)) - log(comb(len(names), len(chosen))) - log(len(shapes))
+            prior = (
+                log_odds(effect.id, study.ready.kind) - log(len(names)) - log(comb(len(names), len(chosen))) - log(len(shapes))
+            )
             v = Variant(
                 effect, chosen, shape, tuple(parameters[i].name for i in columns),
                 np.array([parameters[i].scale for i in columns]), block.take(columns), prior,

@@ -37,6 +37,12 @@ def prior_width(effect_id: str, parameter: Parameter, n_joints: int) -> float:
     return EFFECT_WIDTH
 
 
+def log_odds(effect_id: str, kind: str) -> float:
+    """How much less likely an effect is than others before a session is seen, natural log."""
+    # only an encoder far out of order shows in differences at one pose; geometry is then the likelier cause
+    return -4.0 if effect_id == "encoder_harmonics" and kind == "loaded" else 0.0
+
+
 def choices(owners: list[str]) -> Iterator[Array]:
     """Multiples of the prior widths to choose from by evidence, one set after the other, each (k, p).
 
