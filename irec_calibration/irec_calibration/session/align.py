@@ -116,15 +116,15 @@ def in_words(delay: Delay) -> list[str]:
     ]
     if delay.bursts_s > 0.0:
         out.append(
-            f"tracker points come in bursts: their stamps are times of arrival, up to {1e3 * delay.bursts_s:.0f} ms off regular sampling;"
-            " regular times are taken instead"
+            f"tracker points come in bursts: their stamps are times of arrival, up to {1e3 * delay.bursts_s:.0f} ms off "
+            "regular sampling; regular times are taken instead"
         )
     if not np.isfinite(delay.value_s):
         return [*out, "the robot hardly moves: a delay between joint states and tracker does not show and none is applied"]
     when = "after" if delay.value_s > 0 else "before"
     out.append(
-        f"skew: a tracker point belongs to the joint states stamped {1e3 * abs(delay.value_s):.1f} +- {1e3 * delay.se_s:.1f} ms {when} it;"
-        f" taken out, the misfit falls from {1e3 * delay.rms_before_m:.2f} to {1e3 * delay.rms_after_m:.2f} mm rms"
+        f"skew: a tracker point belongs to the joint states stamped {1e3 * abs(delay.value_s):.1f} "
+        f"+- {1e3 * delay.se_s:.1f} ms {when} it; taken out, the misfit falls from {1e3 * delay.rms_before_m:.2f} to {1e3 * delay.rms_after_m:.2f} mm rms"
     )
     return out
 
