@@ -33,6 +33,8 @@ CELL, TRUTH = ROOT / "config/cells/afp.yaml", ROOT / "config/truths/default.yaml
 PERIOD = 0.004
 PRESS_TIME = 0.6  # s in which the process force comes
 RATE_LIMIT = 0.02  # m/s, the default of limit.translation_rate
+PAUSE = 0.15  # s between two cycles: a busy machine has stopped this process
+AFTER_PAUSE = 2.0  # s of the cell's time
 RESOLUTION = 1e-7  # m, of RKorr on the wire
 TURNS = (  # joint angles 4, 5, 6 against HOME, rad: the tool turned to all sides, without contact
     (0.0, 0.0, 0.0), (0.0, 0.9, 0.0), (0.0, -1.6, 0.0), (1.5, 0.8, 0.0),
@@ -87,7 +89,8 @@ class Line:
         self.timeout = timeout
         self.controller: RsiController | None = None
         self.block = f"irec_test_{uuid.uuid4().hex}"
-        self.sent, self.answered_in = [np.zeros(3)], [0]
+        self.sent, self.answered_in, self.answered_at = [np.zeros(3)], [0], [0.0]
+        self.pauses: list[float] = []
 
     def start(self, start_process: Callable, model: Path, port: int) -> tuple:
         """The two processes of the correction, as an integrator would start them."""
@@ -133,13 +136,17 @@ class Line:
         if self.controller.counts.answered > answered:
             self.sent.append(correction.translation)
             self.answered_in.append(self.controller.counts.cycles)
+            self.answered_at.append(time.perf_counter())
         turn = Rotation.from_euler("ZYX", correction.abc).as_rotvec()
         cell.set_offset(correction.translation, turn, cell.time)
 
     def drive(self, seconds: float, each: Callable[[float], None] = lambda _: None) -> None:
         """Cycles in real time; `each` is told the time since the beginning before each one."""
-        due = time.perf_counter()
+        due = before = time.perf_counter()
         for i in range(round(seconds / PERIOD)):
+            if time.perf_counter() - before > PAUSE:
+                self.pauses.append(self.cell.time)
+            before = time.perf_counter()
             each(i * PERIOD)
             due += PERIOD
             self.cycle(due)
@@ -158,23 +165,31 @@ class Line:
         """The process force of the course's beginning comes within PRESS_TIME."""
         self.cell.set_process(min(1.0, t / PRESS_TIME) * self.plan.force(0.0))
 
+    def undisturbed(self, times: np.ndarray) -> np.ndarray:
+        """Which times were not preceded by a pause of this process, after which the correction ramps in again."""
+        return np.array([not any(p <= t <= p + AFTER_PAUSE for p in self.pauses) for t in times])
+
     @property
     def largest_step(self) -> float:
-        """Per cycle: an answer that comes two cycles after the one before may be two steps away from it."""
-        steps = np.linalg.norm(np.diff(np.array(self.sent), axis=0), axis=1)
-        return float((steps / np.maximum(np.diff(self.answered_in), 1)).max())
+        """Per cycle: an answer that comes two cycles after the one before may be two steps away from it.
+
+        A pause of this process looks like a new session of the controller, which begins at zero: not judged.
+        """
+        steps = np.linalg.norm(np.diff(np.array(self.sent), axis=0), axis=1) / np.maximum(np.diff(self.answered_in), 1)
+        return float(steps[np.diff(self.answered_at) < PAUSE].max())
 
 
 def course_deviation(
     cell: Cell, plan: CoursePlan, run: Callable[[float, Callable[[float], None]], None], speed: float
-) -> np.ndarray:
-    """Deviation of the physical TCP along the course, one row per 0.2 s, (n, 3), m.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times of the cell (n,), s, and deviation of the physical TCP along the course, one row per 0.2 s, (n, 3), m.
 
     Args:
         run: drives for a time, calling back before each cycle with the time since the beginning.
     """
     move = table_move(plan.q, plan.rail, plan.length, speed)
     rows: list[np.ndarray] = []
+    times: list[float] = []
 
     def each(t: float) -> None:
         s = move.way.distance(t)
@@ -183,9 +198,10 @@ def course_deviation(
         cell.set_process(plan.force(s))
         if round(t / PERIOD) % 50 == 25:
             rows.append(cell.true_deviation())
+            times.append(cell.time)
 
     run(plan.length / speed + 0.5, each)
-    return np.array(rows)
+    return np.array(times), np.array(rows)
 
 
 def without_correction(line: Line, speed: float) -> np.ndarray:
@@ -199,4 +215,4 @@ def without_correction(line: Line, speed: float) -> np.ndarray:
             each(i * PERIOD)
             cell.step()
 
-    return course_deviation(cell, replace(line.plan), run, speed)
+    return course_deviation(cell, replace(line.plan), run, speed)[1]

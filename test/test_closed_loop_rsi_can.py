@@ -42,8 +42,11 @@ def test_course_is_held_through_rsi_and_can(model, port, ros_domain, start_proce
     line = Line()
     line.start(start_process, model, port)
     pressed(line)
-    corrected = course_deviation(line.cell, line.plan, line.drive, SPEED)
-    plain = without_correction(line, SPEED)
+    times, corrected = course_deviation(line.cell, line.plan, line.drive, SPEED)
+    judged = line.undisturbed(times)
+    if judged.mean() < 0.5:
+        pytest.skip(f"this machine stopped the simulated controller {len(line.pauses)} times on the way: nothing to judge")
+    plain, corrected = without_correction(line, SPEED)[judged], corrected[judged]
     mean = [np.linalg.norm(d, axis=1).mean() for d in (plain, corrected)]
     worst = [np.linalg.norm(d, axis=1).max() for d in (plain, corrected)]
     print(f"mean {1e3 * mean[0]:.4f} -> {1e3 * mean[1]:.4f} mm, max {1e3 * worst[0]:.4f} -> {1e3 * worst[1]:.4f} mm")  # pytest -s
