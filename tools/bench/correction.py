@@ -35,6 +35,7 @@ URDF = ROOT / "config/robots/kr120_r2700_extra_ha.urdf"
 Q = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3])
 WRENCH = np.array([150.0, -80.0, -900.0, 5.0, 3.0, -1.0])
 PERIOD = 0.004
+CYCLES_TO_JUDGE_LATE = 100_000  # with fewer the count is chance
 TARGET_DEFLECTION_US, TARGET_FASTER, TARGET_TICK_US, TARGET_REPLY = 60.0, 3.0, 150.0, 1.5
 
 
@@ -316,8 +317,9 @@ def main() -> int:
         f"{TARGET_FASTER:.0f} times faster than plain": deflection["faster"] >= TARGET_FASTER,
         f"tick at most {TARGET_TICK_US:.0f} us median": tick["p50"] <= TARGET_TICK_US,
         f"RSI reply p99 at most {TARGET_REPLY} of a bare echo": figures["rsi_4_ms"]["p99_ratio"] <= TARGET_REPLY,
-        "no more late replies than the echo": figures["rsi_4_ms"]["late"] <= figures["rsi_4_ms"]["echo_late"],
     }
+    if args.cycles >= CYCLES_TO_JUDGE_LATE:
+        met["no more late replies than the echo"] = figures["rsi_4_ms"]["late"] <= figures["rsi_4_ms"]["echo_late"]
     for part, values in figures.items():
         print(f"{part}: {json.dumps(values)}")
     for text, ok in met.items():
