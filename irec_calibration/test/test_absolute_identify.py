@@ -178,7 +178,10 @@ def test_a_few_gross_outliers_are_left_out_and_named():
 def test_a_residual_that_repeats_with_the_pose_is_said():
     rng = np.random.default_rng(4)
     q = np.concatenate([rng.uniform(-1.3, 1.3, (150, 6))] * 2) + rng.normal(size=(300, 6)) * 1e-3
-    wave = lambda s, p: 3e-4 * np.sin(9.0 * s.q[:, :3])
+
+    def wave(s, p):
+        return 3e-4 * np.sin(9.0 * s.q[:, :3])
+
     for moved, expected in ((wave, True), (None, False)):
         fit = identify(session(q=q, noise=NOISE, moved=moved), base_terms())
         assert near_pairs(fit.observation, fit.residual).repeats is expected

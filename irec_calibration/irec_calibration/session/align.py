@@ -124,7 +124,8 @@ def in_words(delay: Delay) -> list[str]:
     when = "after" if delay.value_s > 0 else "before"
     out.append(
         f"skew: a tracker point belongs to the joint states stamped {1e3 * abs(delay.value_s):.1f} "
-        f"+- {1e3 * delay.se_s:.1f} ms {when} it; taken out, the misfit falls from {1e3 * delay.rms_before_m:.2f} to {1e3 * delay.rms_after_m:.2f} mm rms"
+        f"+- {1e3 * delay.se_s:.1f} ms {when} it; "
+        f"taken out, the misfit falls from {1e3 * delay.rms_before_m:.2f} to {1e3 * delay.rms_after_m:.2f} mm rms"
     )
     return out
 
