@@ -93,7 +93,7 @@ def _draw(recordings: list[Trajectory], r: JointStiffness, path: Path) -> None:
         low, high = 1e-3 * a.torque[0], 1e-3 * a.torque[1]
         told = f"{1e-6 * a.stiffness:.1f} MN m/rad" if a.told else "stiffness cannot be told"
         if a.told:
-            middle = 0.5 * (low + high)
+            middle = 1e-3 * float(np.mean([t.torque[:, a.number - 1].mean() for t in recordings]))
             ends = np.array([low, high])
             axes[1, column].plot(ends, 1e9 / a.stiffness * (ends - middle), "k-", lw=1)
         axes[1, column].set_title(told)
