@@ -109,7 +109,8 @@ def session(
         name="absolute", kind="absolute", robot=robot, serial="R", pose=each + 1, load_case=np.zeros(n, dtype=np.int64),
         repeat=np.zeros(n, dtype=np.int64), stamp=each * 5.0, q=q[each], p_tcp_in_base=kin.p_tcp,
         p_marker_in_station=np.zeros((n, 3)), station=station, stations=stations, marker=marker, markers=markers,
-        force_in_tool=np.zeros((n, 3)), torque_in_tool=np.zeros((n, 3)), noise=noise, has_tcp=False, payload=Payload(5.0), meta={"kind": "absolute"},
+        force_in_tool=np.zeros((n, 3)), torque_in_tool=np.zeros((n, 3)),
+        noise=noise, has_tcp=False, payload=Payload(5.0), meta={"kind": "absolute"},
     )  # fmt: skip
     if callable(moved):
         p = p + moved(base, p)
