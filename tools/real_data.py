@@ -41,9 +41,18 @@ class Set:
 
 
 SETS = {
-    "ur5": Set("ur5-jacobi", "jacobi_ur5_wam_lasertracker/UR5/3D_UR5_uncalibrated_grid_cleaned.csv", "UR5, laser tracker", HISTORY),
-    "wam": Set("wam-jacobi", "jacobi_ur5_wam_lasertracker/WAM/3D_WAM_uncalibrated_grid_cleaned.csv", "Barrett WAM, laser tracker", HISTORY),
-    "ur10-a": Set("ur10-ipa-a", "ipa_ur10_lasertracker/Series_A/measurements_grid.csv", "UR10, T-Mac, series A", (*HISTORY, "thermal_drift")),
+    "ur5": Set(
+        "ur5-jacobi", "jacobi_ur5_wam_lasertracker/UR5/3D_UR5_uncalibrated_grid_cleaned.csv", "UR5, laser tracker", HISTORY
+    ),
+    "wam": Set(
+        "wam-jacobi",
+        "jacobi_ur5_wam_lasertracker/WAM/3D_WAM_uncalibrated_grid_cleaned.csv",
+        "Barrett WAM, laser tracker",
+        HISTORY,
+    ),
+    "ur10-a": Set(
+        "ur10-ipa-a", "ipa_ur10_lasertracker/Series_A/measurements_grid.csv", "UR10, T-Mac, series A", (*HISTORY, "thermal_drift")
+    ),
     "ur10-b": Set("ur10-ipa-b", "ipa_ur10_lasertracker/Series_B/measurements_joint_configurations.csv", "UR10, T-Mac, series B"),
     "ur10-c": Set("ur10-ipa-c", "ipa_ur10_lasertracker/Series_C/measurements_random_poses.csv", "UR10, T-Mac, series C"),
     "ur10-d": Set("ur10-ipa-d", "ipa_ur10_lasertracker/Series_D/measurements_iso_cubes.csv", "UR10, T-Mac, series D"),
