@@ -139,8 +139,8 @@ def improve(
 def _sag(study: Study) -> Hypothesis | None:
     """Joint torsion on top of a model of an absolute session, where it helps on held-out poses; None elsewhere.
 
-    That joints give way under gravity needs no naming: it is known of every arm. So it goes in although it does not explain most of
-    what is left, provided that it earns it.
+    That joints give way under gravity needs no naming: it is known of every arm. So it goes in although it does not explain most
+    of what is left, provided that it earns it.
     """
     effect = find_effect("joint_torsion")
     if study.session.kind != "absolute" or effect.id in (t.effect.id for t in study.terms) or study.why_not(effect):
