@@ -31,6 +31,7 @@ from .sources import OffsetSource
 PACKET_SIZE = 4096
 IDLE = 0.1  # s without a packet: look for commands all the same
 AHEAD = 0.25  # of a cycle by which an answer is ready before its packet
+LATE = 0.5  # of a cycle after which a packet may have another one behind it
 RESTART = 150  # cycles of silence after which the controller, with its time-out of 100, has stopped RSI for sure
 KEPT = 4096  # latencies over which the report's percentiles are taken
 
@@ -142,7 +143,8 @@ class RsiLoop:
             self._wait_on()
             return False
         began = time.perf_counter()
-        packet, sender = self._newest(packet, sender)
+        if time.monotonic() > self._due + LATE * 1e-3 * self._cycle_ms:  # in time there can be no other one behind it
+            packet, sender = self._newest(packet, sender)
         if sender[0] != self.link.peer:
             self.counts.foreign += 1
             return False
