@@ -11,7 +11,7 @@ INTERFACES := $(wildcard irec_msgs/msg/*.msg irec_msgs/srv/*.srv irec_msgs/actio
 SETUPS := $(foreach p,$(PACKAGES),$(wildcard $(p)/setup.py $(p)/setup.cfg $(p)/package.xml $(p)/launch/*.launch.py))
 LAUNCH := $(foreach p,$(PACKAGES),$(wildcard $(p)/launch/*.launch.py))
 
-.PHONY: help build demo demo-hidden test lint bench hidden clean
+.PHONY: help build demo demo-hidden test lint bench bench-peers hidden clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | column -t -s '|'
@@ -42,6 +42,9 @@ lint: build ## ruff, mypy, launch files
 
 bench: build ## how fast it is, beside plain ways of doing the same
 	@$(RUN) for file in tools/bench/*.py; do echo "== $$file"; python "$$file" || exit 1; done
+
+bench-peers: build ## irec beside FIGAROH on measured data (installs it into out/peers, needs the data)
+	@$(RUN) python tools/peers/run.py
 
 HIDDEN_SEED ?= 2026
 
