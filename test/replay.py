@@ -24,7 +24,7 @@ def main(bag: str, speed: float, renamed: dict[str, str]) -> None:
         topic = message.topic
         if topic.name not in publishers:
             package, _, kind = topic.type_name.split("/")
-            qos = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+            qos = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
             message_class = getattr(import_module(f"{package}.msg"), kind)
             publishers[topic.name] = node.create_publisher(message_class, renamed[topic.name], qos)
     until = time.monotonic() + PATIENCE

@@ -20,6 +20,7 @@ from ..procedure.recorder import SessionRecorder
 from ..procedure.settle import Streams
 
 FOLLOW_EVERY = 2  # wrenches
+QUEUE_DEPTH = 5000  # messages; a node that is held up for seconds loses nothing of a recording
 TYPES = {
     JointState: "sensor_msgs/msg/JointState",
     PoseStamped: "geometry_msgs/msg/PoseStamped",
@@ -66,7 +67,7 @@ class Instruments:
         self._types[name] = TYPES[kind]
         if self._recorder is not None:
             self._channels[name] = self._recorder.add_topic(name, TYPES[kind])
-        qos = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
+        qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
         self._node.create_subscription(kind, name, partial(self._on_message, name, kind, handle), qos, raw=True)
 
     def _on_message(self, topic: str, kind: Any, handle: Callable[[Any], None] | None, data: bytes) -> None:

@@ -30,7 +30,7 @@ from ..recording import BagWriter, Qos
 DISCOVERY_PERIOD = 0.2  # s of the machine's clock, between looks for topics that are not there yet
 STOP_TIME = 2.0  # s that a stop may wait for messages that have arrived already
 QUIET_SPINS = 5  # turns of the executor without a message, after which none is left
-QUEUE_DEPTH = 2000  # messages; a recorder that is held up for a second loses nothing
+QUEUE_DEPTH = 5000  # messages; a recorder that is held up for seconds loses nothing
 
 
 class RecorderNode(Node):
