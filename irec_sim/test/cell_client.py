@@ -66,6 +66,11 @@ class Client:
         self._executor = EventsExecutor()
         self._executor.add_node(self.node)
 
+    def close(self) -> None:
+        """Leave the domain: a client that stays would be a listener in the tests that come after."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+
     def wait(self, condition: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
         """Spin until the condition is true; the test fails, saying what did not come, after `patience` s."""
         until = time.monotonic() + patience
@@ -143,7 +148,9 @@ class Client:
 @contextmanager
 def client() -> Iterator[Client]:
     rclpy.init()
+    made = Client()
     try:
-        yield Client()
+        yield made
     finally:
+        made.close()
         rclpy.try_shutdown()
