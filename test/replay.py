@@ -16,7 +16,7 @@ PATIENCE = 20.0  # s
 
 
 def wait_for(node: Any, listener: str, publishers: dict[str, Any]) -> None:
-    """Until the node of that name, and nobody else, has matched every publisher. Somebody else would start the stream too early."""
+    """Until the node of that name, and nobody else, has matched every publisher; anybody else would start the stream early."""
     until = time.monotonic() + PATIENCE
     while True:
         heard_by = {topic: [i.node_name for i in node.get_subscriptions_info_by_topic(topic)] for topic in publishers}
