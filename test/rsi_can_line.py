@@ -11,9 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from irec_calibration.identify import identify, model_of
+from irec_calibration.identify import identify
 from irec_calibration.model import EIGHTEEN_DOF, blank_model
 from irec_calibration.model_file import save_model
+from irec_calibration.provenance import model_of
 from irec_calibration.robot import Robot
 from irec_calibration.session import read_session
 from irec_calibration.tool_load import ToolLoad, identify_tool_load

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 from irec_calibration.absolute import base_terms, near_pairs, thinned
-from irec_calibration.identify import fit, held_out_residual, without_outliers
+from irec_calibration.cross_validation import held_out_residual
+from irec_calibration.identify import fit, without_outliers
 from irec_calibration.model import blank_model
 from irec_calibration.observe import observe
 from irec_calibration.report.style import BLUE, GREY, ORANGE, pyplot, save

@@ -22,13 +22,14 @@ import numpy as np
 
 from .bounded import solve_bounded_gram
 from .errors import PlanError, SolveError
-from .identify import free_regressors, identify, linearise
+from .identify import identify
 from .model import Term, total_displacement
 from .noise import Whitening
 from .observe import Observation
 from .poses.blocks import identifiable_subspace
 from .poses.select import Candidates, cover, select_poses
 from .session.data import Session
+from .system import free_regressors, linearise
 from .typing import Array, BoolArray, IntArray
 
 TRAIN_TO_TEST = 70 / 30

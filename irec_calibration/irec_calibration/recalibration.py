@@ -12,11 +12,12 @@ import numpy as np
 import yaml
 
 from .errors import ModelError
-from .identify import fit, identify, model_of
+from .identify import fit, identify
 from .model import EIGHTEEN_DOF, Model, blank_model, total_displacement
 from .model_file import file_sha256, load_model
 from .observe import Observation, observe
 from .procedure.settings import Acceptance
+from .provenance import model_of
 from .session import Session
 from .typing import Array, BoolArray, IntArray
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 from absolute_sessions import session
 from irec_calibration.diagnose import compare, diagnose
-from irec_calibration.identify import default_terms, identify, model_of
+from irec_calibration.identify import default_terms, identify
+from irec_calibration.provenance import model_of
 from irec_calibration.session import Noise
 from test_absolute_identify import torsion
 

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from absolute_sessions import SIX, Joint, points, session
 from irec_calibration.absolute import base_terms, near_pairs, thinned
+from irec_calibration.cross_validation import held_out_residual
 from irec_calibration.effects import find_effect
-from irec_calibration.identify import default_terms, held_out_residual, identify, model_of, registered
+from irec_calibration.identify import default_terms, identify, registered
 from irec_calibration.model import Term, blank_model, total_displacement
 from irec_calibration.observe import observe
+from irec_calibration.provenance import model_of
 from irec_calibration.scene import scene_of
 from irec_calibration.session import Marker, Noise, Station
 

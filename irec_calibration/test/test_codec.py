@@ -12,10 +12,11 @@ from irec_calibration.cli import main
 from irec_calibration.codec import RIDGE, pose_data, run_codec, split_sizes
 from irec_calibration.errors import PlanError, SolveError
 from irec_calibration.growth import growth_of, growth_so_far
-from irec_calibration.identify import fit, linearise, observe_with_force_noise
+from irec_calibration.identify import fit, observe_with_force_noise
 from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, blank_model
 from irec_calibration.poses.select import METHODS, cover
 from irec_calibration.session import Noise, write_table
+from irec_calibration.system import linearise
 from scipy.optimize import nnls
 from synthetic import COMPLIANCE, session
 
@@ -247,5 +248,3 @@ def test_too_few_poses_end_with_exit_code_2(tmp_path, capsys):
     write_table(session(3), tmp_path / "session")
     assert main(["codec", str(tmp_path / "session"), "-o", str(tmp_path / "out")]) == 2
     assert "3 poses are too few" in capsys.readouterr().err
-
-

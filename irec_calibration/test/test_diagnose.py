@@ -19,9 +19,10 @@ from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.diagnose.tool_weight import reference_readings
 from irec_calibration.effects import find_effect
 from irec_calibration.errors import Cancelled, EffectError, ModelError
-from irec_calibration.identify import identify, model_of
+from irec_calibration.identify import identify
 from irec_calibration.model import EIGHTEEN_DOF, Model, blank_model
 from irec_calibration.model_file import load_model, save_model
+from irec_calibration.provenance import model_of
 from irec_calibration.scene import Scene, scene_of
 from irec_calibration.session import Noise, Session
 from numpy.typing import NDArray

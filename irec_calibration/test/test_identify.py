@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from irec_calibration.cross_validation import held_out_residual, rms
 from irec_calibration.errors import SolveError
-from irec_calibration.identify import cross_validated_rms, identify
+from irec_calibration.identify import identify
 from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, blank_model
 from irec_calibration.session import Noise
 from synthetic import COMPLIANCE, TRANSVERSE, session
@@ -65,7 +66,7 @@ def test_95_percent_intervals_cover_the_truth_in_90_to_99_percent_of_100_seeds()
 
 def test_held_out_error_of_the_true_model_is_the_instrument_noise():
     fit = identify(session(31, seed=5), blank_model(EIGHTEEN_DOF))
-    cv = cross_validated_rms(fit.terms, fit.observation)
+    cv = rms(held_out_residual(fit.terms, fit.observation))
     assert 0.9 < cv / fit.observation.whiten.floor < 1.15
 
 

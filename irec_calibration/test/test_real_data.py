@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from irec_calibration.absolute import base_terms, near_pairs, thinned
-from irec_calibration.identify import fit, held_out_residual, identify
+from irec_calibration.cross_validation import held_out_residual
+from irec_calibration.identify import fit, identify
 from irec_calibration.joint_stiffness import joint_stiffness
 from irec_calibration.model import blank_model
 from irec_calibration.observe import observe

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.errors import ModelError
-from irec_calibration.identify import identify, model_of
+from irec_calibration.identify import identify
 from irec_calibration.model import EIGHTEEN_DOF, blank_model
 from irec_calibration.model_file import save_model
 from irec_calibration.procedure.settings import Acceptance
+from irec_calibration.provenance import model_of
 from irec_calibration.recalibration import Register, held_out_poses, judge
 
 ACCEPTANCE = Acceptance(min_poses=12, held_out_share=0.3, held_out_rms_m=1e-4, max_ratio_to_old=1.05, max_noise_floors=6.0)

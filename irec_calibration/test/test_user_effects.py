@@ -14,9 +14,10 @@ from irec_calibration.effects import find_effect
 from irec_calibration.effects.formula import FormulaEffect
 from irec_calibration.effects.user import effect_from_text, register_file
 from irec_calibration.errors import EffectError, ModelError
-from irec_calibration.identify import identify, model_of
+from irec_calibration.identify import identify
 from irec_calibration.model import EIGHTEEN_DOF, Term, blank_model
 from irec_calibration.model_file import load_model, save_model
+from irec_calibration.provenance import model_of
 from irec_calibration.scene import scene_of
 from synthetic import session
 

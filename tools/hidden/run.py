@@ -20,9 +20,10 @@ from pathlib import Path
 
 from irec_calibration.cli import main as irec
 from irec_calibration.diagnose import improve, write_json
-from irec_calibration.identify import identify, model_of
+from irec_calibration.identify import identify
 from irec_calibration.model import EIGHTEEN_DOF, blank_model
 from irec_calibration.model_file import save_model
+from irec_calibration.provenance import model_of
 from irec_calibration.session import read_session
 
 

@@ -6,9 +6,10 @@ from __future__ import annotations
 import argparse
 import json
 
-from ..identify import default_terms, identify, model_of
+from ..identify import default_terms, identify
 from ..model import EIGHTEEN_DOF, SIX_DOF, Model, blank_model
 from ..model_file import save_model
+from ..provenance import model_of
 from ..session import read_session
 
 

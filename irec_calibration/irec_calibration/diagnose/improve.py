@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 from ..effects import Effect, find_effect
 from ..errors import Cancelled, EffectError, ModelError
-from ..identify import model_of
 from ..model import Estimate, Model, Term
+from ..provenance import model_of
 from ..session.data import Session
 from ..typing import Json
 from .candidates import try_effect

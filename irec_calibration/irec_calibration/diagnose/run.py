@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import Cancelled, SolveError
-from ..identify import default_terms, model_of
+from ..identify import default_terms
 from ..model import Estimate, Model, Term
+from ..provenance import model_of
 from ..session.data import Session
 from .candidates import Trial
 from .comparison import compare_observed

@@ -10,11 +10,12 @@ import numpy as np
 
 from ..absolute import completed, thinned
 from ..effects import Effect, Parameter, absent
-from ..identify import Fit, fit, linearise, observe_with_force_noise
+from ..identify import Fit, fit, observe_with_force_noise
 from ..model import Term, apply_wrench_effects, elastic_response
 from ..observe import Observation
 from ..scene import Scene
 from ..session.data import Session
+from ..system import linearise
 from ..typing import Array
 from .evidence import Bench, Block
 from .priors import choices, prior_width

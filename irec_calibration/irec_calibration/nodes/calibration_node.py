@@ -26,10 +26,11 @@ from irec_msgs.srv import ActivateModel, AnalyseSession, Recalibrate, SolveCompl
 
 from ..cell import read_cell
 from ..errors import CellError, IrecError, SessionError
-from ..identify import identify, model_of
+from ..identify import identify
 from ..model import EIGHTEEN_DOF, Model, blank_model
 from ..model_file import check_belongs, save_model
 from ..procedure.settings import read_acceptance
+from ..provenance import model_of
 from ..recalibration import Register, judge
 from ..session import read_session
 from .analyses import READERS, arguments_of, diagnosed, run_command
