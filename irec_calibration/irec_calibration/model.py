@@ -34,6 +34,10 @@ class Estimate:
     upper: float = math.inf
     identified: bool = True
 
+    def __str__(self) -> str:
+        error = f" +- {self.se:.2g}" if math.isfinite(self.se) else ""
+        return f"{self.value:.4g}{error} {self.unit}".rstrip()
+
 
 @dataclass(frozen=True)
 class Term:

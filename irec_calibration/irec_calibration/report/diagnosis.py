@@ -9,6 +9,7 @@ import numpy as np
 
 from ..diagnose.result import Candidate, Comparison, Diagnosis
 from ..effects import find_effect
+from ..model import Estimate
 from ..session.data import Session
 from . import models, samples
 from .page import Figure, Page, Section, Table, write_page
@@ -116,7 +117,7 @@ def _which(diagnosis: Diagnosis, folder: Path) -> Section:
             label(c),
             1e6 * c.cv_rms_m,
             c.p_value,
-            "; ".join(f"{n} = {v['value']:.3g} +- {v['se']:.1g} {v['unit']}" for n, v in list(c.parameters.items())[:4]),
+            "; ".join(f"{n} = {Estimate(**v)}" for n, v in list(c.parameters.items())[:4]),
             "yes" if c.plausible else "no",
             ", ".join(c.confusable_with) or "-",
         ]

@@ -52,9 +52,7 @@ def _ladder(ladder: Ladder, folder: Path) -> Section:
     rows = []
     for name, r in zip(names, rungs, strict=True):
         term = next((t for t in r.model.terms if t.effect.id == r.added), None)
-        values = (
-            "; ".join(f"{n} = {e.value:.3g} +- {e.se:.1g} {e.unit}" for n, e in list(term.estimates.items())[:6]) if term else ""
-        )
+        values = "; ".join(f"{n} = {e}" for n, e in list(term.estimates.items())[:6]) if term else ""
         rows.append([name, 1e6 * r.cv_rms_m, 1e6 * r.cv_rms_se_m, 1e6 * r.fit_rms_m, values])
     physics = [f"{find_effect(r.added).label}: {find_effect(r.added).physics}" for r in rungs if r.added]
     return Section(
