@@ -105,10 +105,11 @@ def test_failures_make_no_step_and_only_a_dead_process_stops_the_robot(model, po
     controller = line.controller
     controller.timeout = 100
     held = line.sent[-1]
-    for way, packets, times in (("lose_answers", 1, 1), ("lose_sent", 1, 1), ("lose_answers", 5, 40), ("lose_sent", 5, 1)):
-        for _ in range(times):  # 40 times 5: 200 packets
-            setattr(controller.faults, way, packets)
-            line.drive(0.04)
+    for way in ("lose_answers", "lose_sent", "late_answers", "double_sent", "old_again"):
+        for packets, times in ((1, 1), (5, 40)):  # 40 times 5: 200 packets
+            for _ in range(times):
+                setattr(controller.faults, way, packets)
+                line.drive(0.04)
     own.write_text("format: irec-model/1\neffects: []\n")  # swapped under it: the model in force is the one that was read
     line.drive(0.3)
     assert np.linalg.norm(line.sent[-1] - held) < 5e-5

@@ -148,6 +148,10 @@ class Correction:
         self.limiter.reset()
         self.supervisor.restart_ramp(now, self.present, "the robot has begun anew")
 
+    def settle(self, translation: Array, rotation: Array) -> None:
+        """The robot missed ticks and stands at this offset, (3,) m and (3,) rad: go on from there, from rest."""
+        self.limiter.settle(translation, rotation)
+
     # -- inputs --------------------------------------------------------------------------------------------------------
 
     def take_wrench(self, stamp: float, now: float, frame: str, reading: Array, status: str = "") -> None:

@@ -56,6 +56,11 @@ class VectorLimiter:
         self._velocity = np.zeros(3)
         self._target = np.zeros(3)
 
+    def settle(self, value: Array) -> None:
+        """The robot stands at a value (3,): go on from there, from rest."""
+        self.value = value.copy()
+        self._velocity = np.zeros(3)
+
     def step(self, target: Array, dt: float) -> bool:
         """One tick towards a target (3,); the result is in `value`. Not finite means: stay where you are.
 
@@ -120,6 +125,11 @@ class OffsetLimiter:
         """Begin at zero: only where nobody follows the offset just now."""
         for part in (self.translation, self.rotation):
             part.reset()
+
+    def settle(self, translation: Array, rotation: Array) -> None:
+        """The robot stands at this offset, (3,) m and (3,) rad: go on from there, from rest."""
+        self.translation.settle(translation)
+        self.rotation.settle(rotation)
 
     def step(self, translation: Array, rotation: Array, dt: float) -> bool:
         """One tick towards targets (3,) m and (3,) rad; dt, s. True where a limit was active."""

@@ -16,6 +16,7 @@ from irec_correction.deflection import Deflection
 
 ROOT = Path(__file__).parents[2]
 CELL = ROOT / "config/cells/afp.yaml"
+START = 90.0  # s for a process to come up on a busy machine
 
 pytestmark = pytest.mark.ros
 
@@ -81,7 +82,7 @@ class CellSide:
             self.executor.spin_once(timeout_sec=0.05)
 
     def activate(self, path: str):
-        self.until(self.service.service_is_ready, what="service")
+        self.until(self.service.service_is_ready, START, "service")
         answer = self.service.call_async(self.request(model_path=path))
         self.until(answer.done, what="answer")
         return answer.result()

@@ -137,12 +137,14 @@ class CanFtNode(Node):
 
 def main(pipe: Connection, records: socket.socket, arguments: list[str]) -> int:
     """Run the node; exit code."""
-    rclpy.init(args=arguments)
+    if not begin("can_ft_node", args=arguments):
+        return 2
     try:
         node = CanFtNode(pipe)
     except Exception as error:  # IrecError, and whatever rclpy raises for parameters
         print(f"can_ft_node: error: {error}", file=sys.stderr)
-        pipe.send(None)
+        with contextlib.suppress(OSError):  # the sensor's process has ended already where it was the one that refused
+            pipe.send(None)
         rclpy.try_shutdown()
         return 2
     records.settimeout(0.2)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
-from irec_calibration.model import Model
-from irec_calibration.model_file import check_belongs, file_sha256, load_model
+from irec_calibration.model_file import file_sha256, load_model
 from irec_calibration.robot import Payload, Robot
 from irec_calibration.tool_load import ToolLoad
-from irec_calibration.typing import Array
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -31,8 +28,7 @@ from irec_msgs.srv import ActivateModel
 
 from ..conditioning import Conditioner, make_filters, sensor_in_tool
 from ..correction import Correction, Output
-from ..deflection import Deflection
-from ..errors import ActivationError, SettingsError
+from ..errors import SettingsError
 from ..filters import delay_cost
 from ..orientations import Orientations
 from ..realtime import settle_memory
@@ -40,6 +36,7 @@ from ..state import State
 from ..watchdog import Fault
 from . import parameters
 from .messages import diagnostics, fill_offset, fill_state, fill_wrench, seconds
+from .model_checks import affordable, check_mounted
 from .tool_load_service import create_services
 
 SENSOR_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -194,27 +191,14 @@ class CorrectionNode(LifecycleNode):
         assert self._correction is not None and self._robot is not None
         model = load_model(path)
         digest, changed = file_sha256(path), Path(path).stat().st_mtime
-        self._check(model)
-        deflection = Deflection(model, self._robot, self._p.three("gravity"), self._payload)
-        spent = _time_of(deflection)
-        if spent > 0.5 * self._period:
-            raise ActivationError(
-                f"the model takes {spent * 1e3:.2f} ms per evaluation, half a period of {self._period * 1e3:.1f} ms is allowed;"
-                " use a model without effects of your own, or a lower rate"
-            )
+        check_mounted(model, self._robot, self._serial, str(self._p["tool"]))
+        deflection, spent = affordable(model, self._robot, self._p.three("gravity"), self._payload, self._period)
         self._correction.put_in_force(model, self._now(), deflection)
         self._model_file, self._model = (Path(path), digest, changed), model
         for effect, why in deflection.left_out.items():
             self.get_logger().info(f"effect '{effect}' has no part in the correction: it {why}")
         self.get_logger().info(f"model {path} is in force ({', '.join(model.effects)}; {spent * 1e6:.0f} us)")
         return digest
-
-    def _check(self, model: Model) -> None:
-        assert self._robot is not None
-        check_belongs(model, self._robot, self._serial, "this cell")
-        tool = str(self._p["tool"])
-        if model.tool and tool and model.tool != tool:
-            raise ActivationError(f"the model was identified with tool '{model.tool}', '{tool}' is mounted")
 
     def _on_activate_model(self, request: ActivateModel.Request, response: ActivateModel.Response) -> ActivateModel.Response:
         assert self._correction is not None
@@ -345,18 +329,6 @@ class CorrectionNode(LifecycleNode):
             except OSError:
                 note = f"{path} has gone; the model in force is the one that was read from it"
         self._diagnostics_out.publish(diagnostics(self._now(), self._serial, self._correction, note))
-
-
-def _time_of(deflection: Deflection) -> float:
-    """Median time of one evaluation, s."""
-    q: Array = np.zeros(deflection.n_joints)
-    spent = []
-    for _ in range(30):
-        t = time.perf_counter()
-        deflection(q, np.ones(3), np.ones(3), 0.004)
-        spent.append(time.perf_counter() - t)
-    deflection.reset()
-    return float(np.median(spent))
 
 
 def run(args: list[str] | None, priority: int, refused: str) -> int:

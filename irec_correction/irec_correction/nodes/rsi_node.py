@@ -5,40 +5,36 @@ from __future__ import annotations
 
 import sys
 import time
-from array import array
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
+from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
-from irec_calibration.model_file import check_belongs, file_sha256, load_model
+from irec_calibration.model_file import file_sha256, load_model
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
 
-from irec_msgs.msg import CorrectionState
 from irec_msgs.srv import ActivateModel
 
 from ..errors import SettingsError
 from ..rsi.bridge import BridgeSetup
-from ..rsi.loop import KEPT, REPORT_SIZE, Link
+from ..rsi.loop import Link
+from ..rsi.report import KEPT, REPORT_SIZE
 from ..rsi.sources import OFFSET_SIZE, ChainSettings
 from ..shared import WRENCH_SIZE, SharedValues
-from ..state import State
 from . import parameters
-from .messages import LEVELS, fill_quaternion, fill_vector, ros_time
+from .model_checks import affordable, check_mounted
+from .rsi_monitor import MONITOR_RATE, RsiMonitor
 
-OUT_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 IN_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 ANSWER_WAIT = 2.0  # s for the loop to carry out a command
-MONITOR_RATE = 100.0  # Hz
 OWN = (
     ("address", "127.0.0.1", "address of this machine on the robot's network"),
     ("port", 59152, "UDP port that the controller sends to"),
@@ -68,10 +64,9 @@ class RsiNode(Node):
         self._serial = str(p["robot_serial"]) or self._cell.serial
         self._report, self._latency = SharedValues.create(REPORT_SIZE), SharedValues.create(KEPT)
         self._wrench, self._offset_in = SharedValues.create(WRENCH_SIZE), SharedValues.create(OFFSET_SIZE)
-        self._values = np.zeros(REPORT_SIZE)
-        self._version = 0
-        self._state, self._reason, self._digest = State.INACTIVE, "not started", ""
         self._answers: list[str] = []
+        names = list(self._cell.robot.joint_names)
+        self._monitor = RsiMonitor(self, self._report, self._latency, names, self._serial, p["source"] == "chain")
         self.port = self._begin()
         self._create()
         if p["model_path"]:
@@ -85,12 +80,20 @@ class RsiNode(Node):
         source = str(p["source"])
         if source not in ("chain", "offset_topic"):
             raise SettingsError(f"parameter 'source' is '{source}'; chain or offset_topic is possible")
-        settings = parameters.correction_settings(p, str(p["sensor_frame"]) if p["raw_wrench"] else "tool0")
+        if p["cycle_ms"] not in (4, 12):
+            raise SettingsError(f"parameter 'cycle_ms' is {p['cycle_ms']}; 4 (IPO_FAST) or 12 (IPO) is possible")
+        period = 1e-3 * p["cycle_ms"]  # parameter 'rate' is that of correction_node
+        frame = str(p["sensor_frame"]) if p["raw_wrench"] else "tool0"
+        settings = replace(parameters.correction_settings(p, frame), period=period)
+        filters = parameters.filter_settings(p)
+        if filters.rate > 1.0 / period:  # one reading per cycle goes through the chain, the newest
+            self.get_logger().info(f"filters act at {1.0 / period:g} Hz, the rate of RSI, not at wrench_rate {filters.rate:g} Hz")
+            filters = replace(filters, rate=1.0 / period)
         chain = None
         if source == "chain":
             chain = ChainSettings(
                 correction=settings,
-                filters=parameters.filter_settings(p),
+                filters=filters,
                 urdf_text=self._cell.robot.urdf_text,
                 wrench_block=str(p["wrench_block"]) or self._wrench.name,
                 raw=bool(p["raw_wrench"]),
@@ -98,6 +101,7 @@ class RsiNode(Node):
                 load=parameters.tool_load(p),
                 cable=parameters.cable(p),
                 gravity=p.three("gravity"),
+                payload=self._cell.payload,
             )
         link = Link(str(p["address"]), int(p["port"]), str(p["peer"]), str(p["sentype"]))
         self._pipe.send(
@@ -124,25 +128,17 @@ class RsiNode(Node):
 
     def _create(self) -> None:
         p = self._p
-        self._joints = JointState(name=list(self._cell.robot.joint_names))
-        self._pose, self._offset, self._told = PoseStamped(), TransformStamped(), CorrectionState()
-        self._joints_out = self.create_publisher(JointState, "joint_states", OUT_QOS)
-        self._pose_out = self.create_publisher(PoseStamped, "tcp_pose", OUT_QOS)
-        self._state_out = self.create_publisher(CorrectionState, "irec/correction/state", OUT_QOS)
-        self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", OUT_QOS)
         if p["source"] == "chain":
-            self._offset_out = self.create_publisher(TransformStamped, "irec/offset", OUT_QOS)
             self.create_service(ActivateModel, "irec/correction/activate_model", self._on_activate_model)
             if not p["wrench_block"]:
                 topic = "wrench_raw" if p["raw_wrench"] else "wrench"
                 self._count = 0
                 self.create_subscription(WrenchStamped, topic, self._on_wrench, IN_QOS)
         else:
-            self._offset_out = None
             self.create_subscription(TransformStamped, "irec/offset", self._on_offset, IN_QOS)
             self._ask("start")
         self.create_timer(1.0 / MONITOR_RATE, self._on_timer)
-        self.create_timer(1.0, self._on_second)
+        self.create_timer(1.0, self._monitor.tell_second)
 
     # -- commands to the loop ------------------------------------------------------------------------------------------
 
@@ -163,30 +159,25 @@ class RsiNode(Node):
             if kind == "answer":
                 self._answers.append(content)
                 return
-            self._state, self._reason = State(content[0]), content[1]
-            text = f"{self._state.name}{': ' + self._reason if self._reason else ''}"
-            if self._state in (State.HOLD, State.FADE, State.FAULT):
-                self.get_logger().warning(text)
-            else:
-                self.get_logger().info(text)
+            self._monitor.hear(kind, content)
 
     def _put_in_force(self, path: str) -> str:
         try:
-            model = load_model(path)
-            check_belongs(model, self._cell.robot, self._serial, "this cell")
-            digest = file_sha256(path)
+            model, digest = load_model(path), file_sha256(path)
+            check_mounted(model, self._cell.robot, self._serial, str(self._p["tool"]))
+            affordable(model, self._cell.robot, self._p.three("gravity"), self._cell.payload, 1e-3 * self._p["cycle_ms"])
         except (IrecError, OSError) as error:
             return str(error)
         why = self._ask("model", model)
         if not why:
-            self._digest = digest
+            self._monitor.digest = digest
             why = self._ask("start")
         return why
 
     def _on_activate_model(self, request: ActivateModel.Request, response: ActivateModel.Response) -> ActivateModel.Response:
         response.message = self._put_in_force(request.model_path) if request.model_path else self._ask("stop")
         response.success = not response.message
-        response.sha256 = self._digest if request.model_path else ""
+        response.sha256 = self._monitor.digest if response.success and request.model_path else ""
         return response
 
     # -- into the loop -------------------------------------------------------------------------------------------------
@@ -214,66 +205,12 @@ class RsiNode(Node):
 
     def _on_timer(self) -> None:
         self._listen(0.0)
-        if self._report.version == self._version or not self._report.read(self._values):
-            return
-        self._version = self._report.version
-        v = self._values
-        stamp = self.get_clock().now().to_msg()
-        self._joints.header.stamp = stamp
-        self._joints.position = array("d", v[15 : 15 + len(self._joints.name)].tolist())
-        self._joints_out.publish(self._joints)
-        self._pose.header.stamp, self._pose.header.frame_id = stamp, "base_link"
-        fill_vector(self._pose.pose.position, v[21:24])
-        fill_quaternion(self._pose.pose.orientation, _rotation_vector(v[24:27]))
-        self._pose_out.publish(self._pose)
-        if self._offset_out is not None:
-            o = self._offset
-            o.header.stamp, o.header.frame_id, o.child_frame_id = stamp, "base_link", "tool0"
-            fill_vector(o.transform.translation, v[9:12])
-            fill_quaternion(o.transform.rotation, v[12:15])
-            self._offset_out.publish(o)
-        if int(v[1]) % 25 < 3:
-            self._tell_state(stamp)
-
-    def _tell_state(self, stamp: Any) -> None:
-        s = self._told
-        s.header.stamp, s.header.frame_id = stamp, "base_link"
-        s.state, s.reason = int(self._state), self._reason
-        fill_vector(s.offset, self._values[9:12])
-        s.model_serial, s.model_sha256 = self._serial, self._digest
-        s.late = int(self._values[2])
-        self._state_out.publish(s)
-
-    def _on_second(self) -> None:
-        v = self._values
-        latency = self._latency.numbers[: max(1, min(int(v[1]), KEPT))]
-        values = {
-            "answered": int(v[1]), "late_here": int(v[2]), "late_at_controller": int(v[3]), "lost": int(v[4]),
-            "foreign": int(v[5]), "unreadable": int(v[6]), "restarts": int(v[7]),
-            "latency_p50_s": float(np.percentile(latency, 50)), "latency_p99_s": float(np.percentile(latency, 99)),
-            "latency_max_s": float(latency.max()),
-        }  # fmt: skip
-        silent = time.monotonic() - v[0] > 0.5
-        level = DiagnosticStatus.WARN if silent else LEVELS[self._state]
-        text = "no packet of the controller" if silent else f"{self._state.name}{': ' + self._reason if self._reason else ''}"
-        status = DiagnosticStatus(
-            level=level, name="rsi_bridge: link", message=text, hardware_id=self._serial,
-            values=[KeyValue(key=k, value=str(x)) for k, x in values.items()],
-        )  # fmt: skip
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = ros_time(self.get_clock().now().nanoseconds * 1e-9)
-        self._diagnostics_out.publish(message)
+        self._monitor.tell()
 
     def close(self) -> None:
         """Remove the blocks; the loop keeps its own hold on them."""
         for block in (self._report, self._latency, self._wrench, self._offset_in):
             block.close()
-
-
-def _rotation_vector(abc: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_euler("ZYX", abc).as_rotvec()
 
 
 def main(pipe: Connection, arguments: list[str]) -> int:

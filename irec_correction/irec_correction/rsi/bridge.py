@@ -20,7 +20,8 @@ from ..correction import CorrectionSettings
 from ..realtime import prefer_thread, settle_memory
 from ..shared import SharedValues
 from ..state import State
-from .loop import KEPT, REPORT_SIZE, Link, RsiLoop
+from .loop import Link, RsiLoop
+from .report import KEPT, REPORT_SIZE
 from .sources import OFFSET_SIZE, ChainSettings, ChainSource, GivenSource
 
 LAST_WORDS = 1.0  # s beyond the fade time within which the loop ends after a signal
@@ -64,6 +65,7 @@ class Bridge:
             self.source = GivenSource(setup.correction, block, setup.offset_timeout)
         self.loop = RsiLoop(setup.link, self.source, report, latency, setup.cycle_ms)
         self._told: tuple[State, str] | None = None
+        self._problem = ""
         self._fade = setup.correction.times.fade
         self._end: float | None = None
 
@@ -96,6 +98,9 @@ class Bridge:
             if now[0] is not (self._told[0] if self._told else None):
                 self._told = now
                 pipe.send(("state", (int(now[0]), now[1])))
+            if self.loop.problem != self._problem:
+                self._problem = self.loop.problem
+                pipe.send(("problem", self._problem))
         except (EOFError, OSError):
             self._pipe = None
             self.source.stop(time.monotonic())

@@ -18,7 +18,7 @@ from ..errors import ProtocolError
 MM, DEG = 1e-3, math.pi / 180.0
 _NUMBER = rb'"\s*([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*"'
 _IPOC = re.compile(rb"<IPOC>\s*(\d+)\s*</IPOC>")
-_DELAY = re.compile(rb"<Delay\s+D=" + rb'"\s*(\d+)\s*"')
+_DELAY = re.compile(rb'<Delay\s+D\s*=\s*"\s*(\d+)\s*"')
 
 
 def _attributes(tag: bytes, names: str) -> re.Pattern[bytes]:
@@ -39,7 +39,7 @@ class RobotPacket:
         q: measured joint angles A1..A6, (6,), rad.
         p_tcp: measured TCP in the controller's base, (3,), m; abc: its A, B, C (Z, Y', X''), (3,), rad.
         external: E1..E6 as given for linear axes, (6,), m; zeros where the configuration does not send them.
-        late: packets that the controller counts as late.
+        late: packets that the controller counts as late; 0 where the configuration does not send them.
     """
 
     ipoc: int
@@ -102,10 +102,13 @@ def encode_ipoc(ipoc: int) -> bytes:
     return b"<IPOC>%d</IPOC></Sen>" % ipoc
 
 
-def ipoc_of(packet: bytes) -> int | None:
-    """Time stamp of a packet, ms, without reading the rest; None where it has none."""
-    found = _IPOC.search(packet)
-    return int(found[1]) if found else None
+def stamp_of(packet: bytes) -> tuple[int, int | None] | None:
+    """IPOC, ms, and Delay (None: not sent) of a packet, without reading the rest; None where it has no IPOC."""
+    ipoc = _IPOC.search(packet)
+    if ipoc is None:
+        return None
+    delay = _DELAY.search(packet)
+    return int(ipoc[1]), int(delay[1]) if delay else None
 
 
 def abc_of_rotation_vector(rotation: Array) -> tuple[float, float, float]:

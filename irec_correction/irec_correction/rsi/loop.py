@@ -2,12 +2,12 @@
 """The loop that must answer within the controller's cycle: one thread, one socket, nothing else in its interpreter.
 
 An answer is ready before its packet comes: a quarter of a cycle ahead the newest wrench goes through the chain, and the packet
-only brings the IPOC. So the time to answer is hardly more than that of an echo, at the price of joint angles from the packet
-before.
+only brings IPOC and Delay. So the time to answer is hardly more than that of an echo, at the price of joint angles from the
+packet before. Everything else, reading the packet included, comes after the answer.
 
-Late packets: when several wait in the socket, the loop was held up; only the newest is answered (the controller has counted
-the others as late already, and an answer with their IPOC would be refused). RKorr is absolute, so a lost answer costs
-nothing with HOLDON=1: the controller goes on with the last one. A packet from anybody but the peer is dropped and counted.
+When several packets wait in the socket, the loop was held up; only the newest is answered (the controller has counted the
+others as late already, and refuses an answer with their IPOC). What may be answered after late and lost packets: see holding.py.
+A packet from anybody but the peer is dropped and counted.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ from irec_calibration.typing import Array
 
 from ..errors import CorrectionError, ProtocolError, SettingsError
 from ..shared import SharedValues
-from .codec import RobotPacket, decode_robot, encode_correction, encode_ipoc, ipoc_of
+from .codec import RobotPacket, decode_robot, stamp_of
+from .conversation import Conversation
+from .holding import RESTART
+from .report import KEPT, REPORT_SIZE, WHERE
 from .sources import OffsetSource
 
 PACKET_SIZE = 4096
 IDLE = 0.1  # s without a packet: look for commands all the same
 AHEAD = 0.25  # of a cycle by which an answer is ready before its packet
 LATE = 0.5  # of a cycle after which a packet may have another one behind it
-RESTART = 150  # cycles of silence after which the controller, with its time-out of 100, has stopped RSI for sure
-KEPT = 4096  # latencies over which the report's percentiles are taken
 
 
 @dataclass(frozen=True)
@@ -63,27 +64,21 @@ class Link:
             raise SettingsError(f"RSI port is {self.port}; 0 .. 65535 is possible")
 
 
-# report block, for monitoring: see LoopCounts.values
-REPORT_SIZE = 30
-
-
 @dataclass
 class LoopCounts:
-    """What happened on the link.
+    """What happened in the socket; `Holding` counts what happened on the way.
 
     Attributes:
         late_here: packets that waited behind a newer one; late_there: what the controller counts (Delay).
-        lost: IPOC steps that never arrived; foreign: packets of somebody else; bad: unreadable; restarts: IPOC went back.
+        foreign: packets of somebody else; bad: unreadable.
         latency: seconds from receipt to answer, the last KEPT ones.
     """
 
     answered: int = 0
     late_here: int = 0
     late_there: int = 0
-    lost: int = 0
     foreign: int = 0
     bad: int = 0
-    restarts: int = 0
     latency: Array = field(default_factory=lambda: np.zeros(KEPT))
 
 
@@ -120,13 +115,10 @@ class RsiLoop:
         # a time-out of the system, not of Python: that one would add a poll() to each call, and wait in spite of MSG_DONTWAIT
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 0, int(IDLE * 1e6)))
         self.port = self._socket.getsockname()[1]
-        self._last_ipoc: int | None = None
-        self._ready = encode_correction(np.zeros(3), np.zeros(3), link.sentype)
-        self._sent = np.zeros(3), np.zeros(3)
-        self._next = self._sent
-        self._is_ready = True
+        self.talk = Conversation(source, link.sentype, cycle_ms)
+        self.problem = ""
         self._due = -math.inf
-        self._idle = 0
+        self._last_packet = time.monotonic()
 
     def run(self, goes_on: Callable[[], bool]) -> None:
         """Answer until `goes_on` (asked after each packet or idle time) says no."""
@@ -135,107 +127,85 @@ class RsiLoop:
 
     def once(self) -> bool:
         """Get an answer ready, wait for a packet, answer it; False after idle time or a packet that is not answered."""
-        if not self._is_ready:
+        if self.talk.wants_tick:
             self._get_ready()
         try:
             packet, sender = self._socket.recvfrom(PACKET_SIZE)
         except BlockingIOError:
-            self._wait_on()
             return False
         began = time.perf_counter()
-        if time.monotonic() > self._due + LATE * 1e-3 * self._cycle_ms:  # in time there can be no other one behind it
+        now = time.monotonic()
+        # in time there can be no other one behind it; at the beginning the first one that came is needed, its Delay is 0
+        if now > self._due + LATE * 1e-3 * self._cycle_ms and self.talk.holding.in_session:
             packet, sender = self._newest(packet, sender)
         if sender[0] != self.link.peer:
             self.counts.foreign += 1
             return False
-        ipoc = ipoc_of(packet)
-        if ipoc is None:
+        stamp = stamp_of(packet)
+        if stamp is None:
             self.counts.bad += 1
             return False
-        self._follow(ipoc)
-        self._socket.sendto(self._ready + encode_ipoc(ipoc), sender)
-        c = self.counts
-        c.latency[c.answered % KEPT] = time.perf_counter() - began
-        c.answered += 1
-        self._sent, self._is_ready = self._next, False
-        self._due = time.monotonic() + 1e-3 * self._cycle_ms
-        self._learn(packet)
-        return True
+        reply = self.talk.reply(*stamp, now - self._last_packet > RESTART * 1e-3 * self._cycle_ms)
+        if reply is not None:
+            self._socket.sendto(reply, sender)
+            c = self.counts
+            c.latency[c.answered % KEPT] = time.perf_counter() - began
+            c.answered += 1
+        self._last_packet = now = time.monotonic()
+        self._due = now + 1e-3 * self._cycle_ms
+        self.talk.settle(now)
+        self._learn(packet, now)
+        return reply is not None
 
     def _get_ready(self) -> None:
-        """Wait until shortly before the next packet, then compute. A packet that comes sooner gets the answer before again."""
+        """Wait until shortly before the next packet, then compute."""
         wait = self._due - AHEAD * 1e-3 * self._cycle_ms - time.monotonic()
-        if select.select([self._socket], [], [], max(0.0, wait))[0]:
-            return
-        self._next = self.source.offset(time.monotonic())
-        self._ready = encode_correction(*self._next, self.link.sentype)
-        self._is_ready = True
+        if not select.select([self._socket], [], [], max(0.0, wait))[0]:
+            self.talk.tick(time.monotonic())
 
-    def _learn(self, packet: bytes) -> None:
+    def _learn(self, packet: bytes, now: float) -> None:
         """Read the whole packet, after it has been answered."""
-        now = time.monotonic()
         try:
             state = decode_robot(packet)
-        except ProtocolError:
+        except ProtocolError as error:
             self.counts.bad += 1
+            self.problem = str(error)
             return
+        self.problem = self.talk.holding.problem
         self.counts.late_there = state.late
         self.source.take(state, now)
         if self._report is not None:
-            self._write_report(state, *self._sent, now)
-
-    def _wait_on(self) -> None:
-        """No packet came: after RESTART cycles the controller has stopped RSI, and will begin without any offset.
-
-        Nothing is computed meanwhile: what would have been faded out by then would reach the robot in one step.
-        """
-        self._idle += 1
-        if self._silent:
-            self._restart()
-
-    @property
-    def _silent(self) -> bool:
-        return self._idle * IDLE > RESTART * 1e-3 * self._cycle_ms
-
-    def _restart(self) -> None:
-        self.source.restart(time.monotonic())
-        zero = np.zeros(3)
-        self._next, self._ready, self._is_ready = (zero, zero), encode_correction(zero, zero, self.link.sentype), True
+            self._write_report(self._report, state, now)
 
     def _newest(self, packet: bytes, sender: tuple[str, int]) -> tuple[bytes, tuple[str, int]]:
-        """The last packet of the peer that waits in the socket."""
+        """The packet of the peer with the latest IPOC that waits in the socket, otherwise the one given."""
         while True:
             try:
-                newer, who = self._socket.recvfrom(PACKET_SIZE, socket.MSG_DONTWAIT)
+                other, who = self._socket.recvfrom(PACKET_SIZE, socket.MSG_DONTWAIT)
             except BlockingIOError:
                 return packet, sender
             if who[0] != self.link.peer:
                 self.counts.foreign += 1
-                continue
-            self.counts.late_here += sender[0] == self.link.peer
-            packet, sender = newer, who
+            elif sender[0] != self.link.peer:
+                self.counts.foreign += 1
+                packet, sender = other, who
+            elif self.talk.holding.is_newer(stamp_of(packet), stamp_of(other)):
+                self.counts.late_here += 1
+                packet, sender = other, who
 
-    def _follow(self, ipoc: int) -> None:
-        last, self._last_ipoc = self._last_ipoc, ipoc
-        was_silent, self._idle = self._silent, 0
-        if last is None:
-            return
-        steps = (ipoc - last) / self._cycle_ms
-        if steps < 0 or was_silent:
-            self.counts.restarts += 1
-            self._restart()
-        elif steps > 1:
-            self.counts.lost += round(steps) - 1
-
-    def _write_report(self, state: RobotPacket, translation: Array, rotation: Array, now: float) -> None:
-        c, v = self.counts, self._values
-        v[0:9] = (
-            now, c.answered, c.late_here, c.late_there, c.lost, c.foreign, c.bad, c.restarts, c.latency[(c.answered - 1) % KEPT]
+    def _write_report(self, report: SharedValues, state: RobotPacket, now: float) -> None:
+        c, v, talk, sent = self.counts, self._values, self.talk, self.talk.holding.sent
+        h = talk.holding
+        v[WHERE["now"]] = now
+        v[WHERE["link"]] = (
+            c.answered, c.late_here, c.late_there, h.lost, c.foreign, c.bad, h.sessions, h.doubled, h.not_taken,
+            talk.repeated, talk.unanswered,
         )  # fmt: skip
-        v[9:12], v[12:15], v[15:21], v[21:24], v[24:27] = translation, rotation, state.q, state.p_tcp, state.abc
-        v[27], v[28], v[29] = float(self.source.state), state.external[0], state.ipoc
-        assert self._report is not None
-        self._report.write(v)
+        self.source.report(v)
+        v[WHERE["translation"]], v[WHERE["rotation"]] = sent.translation, sent.rotation
+        v[WHERE["q"]], v[WHERE["p_tcp"]], v[WHERE["abc"]] = state.q, state.p_tcp, state.abc
+        v[WHERE["external"]], v[WHERE["state"]] = state.external[0], float(self.source.state)
+        report.write(v)
 
     def close(self) -> None:
         """Close the socket."""

@@ -3,23 +3,27 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from irec_calibration.model import Model
-from irec_calibration.robot import Robot
+from irec_calibration.robot import Payload, Robot
 from irec_calibration.tool_load import ToolLoad
 from irec_calibration.typing import Array
 
 from ..conditioning import Cable, Conditioner, FilterSettings, make_filters, sensor_in_tool
-from ..correction import Correction, CorrectionSettings
+from ..correction import Correction, CorrectionSettings, Counts, Output
+from ..deflection import Deflection
 from ..errors import CorrectionError
 from ..limits import OffsetLimiter
 from ..shared import WRENCH_SIZE, SharedValues
+from ..spring_chain import build_chain
 from ..state import State, Supervisor
 from ..watchdog import Fault, Finding
 from .codec import RobotPacket
+from .report import FAULTS, WHERE
 
 # offset block: time (CLOCK_MONOTONIC), wanted (0 or 1), translation(3), rotation vector(3)
 OFFSET_SIZE = 8
@@ -46,6 +50,14 @@ class OffsetSource(Protocol):
         """A new RSI session: the robot applies no offset yet."""
         ...
 
+    def settle(self, translation: Array, rotation: Array) -> None:
+        """The robot stands at this offset, (3,) m and (3,) rad: go on from there, from rest."""
+        ...
+
+    def report(self, values: Array) -> None:
+        """Write what the chain did into a block, see report.py."""
+        ...
+
     def start(self, now: float) -> None: ...
 
     def stop(self, now: float) -> None: ...
@@ -56,7 +68,8 @@ class ChainSettings:
     """Everything that the loop's process needs to run the chain by itself; sent to it once.
 
     Attributes:
-        urdf_text: robot description. wrench_block: name of the shared memory that the sensor's process writes.
+        urdf_text: robot description. payload: on tool0, for effects that depend on the total torque.
+        wrench_block: name of the shared memory that the sensor's process writes.
         raw: the block holds readings in `sensor_frame`; otherwise wrenches at the TCP.
     """
 
@@ -69,6 +82,7 @@ class ChainSettings:
     load: ToolLoad = ToolLoad()
     cable: Cable = Cable()
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    payload: Payload | None = None
 
 
 class ChainSource:
@@ -80,6 +94,9 @@ class ChainSource:
         sensor = sensor_in_tool(robot, settings.sensor_frame) if settings.raw else None
         conditioner = Conditioner(make_filters(settings.filters), sensor, settings.load, settings.cable, settings.gravity)
         self.chain = Correction(settings.correction, robot, conditioner)
+        self._robot, self._gravity, self._payload = robot, settings.gravity, settings.payload
+        build_chain(robot)  # the first time takes longer than a cycle
+        self._out: Output | None = None
         self._block_name = settings.wrench_block
         self._block: SharedValues | None = None
         self._values = np.zeros(WRENCH_SIZE)
@@ -96,7 +113,7 @@ class ChainSource:
 
     def put_in_force(self, model: Model, now: float) -> None:
         """Follow another model. Raises CorrectionError."""
-        self.chain.put_in_force(model, now)
+        self.chain.put_in_force(model, now, Deflection(model, self._robot, self._gravity, self._payload))
 
     def start(self, now: float) -> None:
         self.chain.start(now)
@@ -112,8 +129,18 @@ class ChainSource:
 
     def offset(self, now: float) -> tuple[Array, Array]:
         self._take_wrench(now)
-        out = self.chain.tick(now)
+        self._out = out = self.chain.tick(now)
         return out.translation, out.rotation
+
+    def settle(self, translation: Array, rotation: Array) -> None:
+        self.chain.settle(translation, rotation)
+
+    def report(self, values: Array) -> None:
+        c, faults = self.chain.counts, self.chain.watchdog.counters
+        values[WHERE["chain"]] = c.ticks, c.limited, c.held, c.late
+        values[WHERE["faults"]] = [faults[f] for f in FAULTS]
+        if self._out is not None:
+            values[WHERE["deflection"]], values[WHERE["wrench"]] = self._out.deflection, self._out.wrench_at_tcp
 
     def _take_wrench(self, now: float) -> None:
         if self._block is None:
@@ -149,6 +176,8 @@ class GivenSource:
         self._values = np.zeros(OFFSET_SIZE)
         self._last: float | None = None
         self._wanted = np.zeros(6)
+        self._counts, self._faults = Counts(), Counter[Fault]()
+        self._standing: Fault | None = None
 
     @property
     def state(self) -> State:
@@ -177,17 +206,35 @@ class GivenSource:
         self._limiter.reset()
         self._supervisor.restart_ramp(now, self._present, "the robot has begun anew")
 
-    def offset(self, now: float) -> tuple[Array, Array]:
-        finding = None
+    def settle(self, translation: Array, rotation: Array) -> None:
+        self._limiter.settle(translation, rotation)
+
+    def report(self, values: Array) -> None:
+        c = self._counts
+        values[WHERE["chain"]] = c.ticks, c.limited, c.held, c.late
+        values[WHERE["faults"]] = [self._faults[f] for f in FAULTS]
+
+    def _finding(self, now: float) -> Finding | None:
         if not self._block.read(self._values) or not 0.0 <= now - self._values[0] + 1e-3 <= self._timeout:
-            age = now - self._values[0]
-            finding = Finding(Fault.OFFSET_STALE, f"no offset for {age:.3f} s, limit {self._timeout} s")
-        elif not np.all(np.isfinite(self._values)):
-            finding = Finding(Fault.OFFSET_NOT_FINITE, "offset holds NaN or infinity")
-        else:
+            age = f"for {now - self._values[0]:.3f} s" if self._block.version else "yet"
+            return Finding(Fault.OFFSET_STALE, f"no offset {age}, limit {self._timeout} s")
+        if not np.all(np.isfinite(self._values)):
+            return Finding(Fault.OFFSET_NOT_FINITE, "offset holds NaN or infinity")
+        return None
+
+    def offset(self, now: float) -> tuple[Array, Array]:
+        finding = self._finding(now)
+        if finding is None:
             self._wanted = self._values[2:8].copy()
+        elif finding.fault is not self._standing:
+            self._faults[finding.fault] += 1
+        self._standing = finding.fault if finding is not None else None
         dt = self._period if self._last is None else now - self._last
         self._last = now
         target = self._supervisor.tick(now, finding, self._wanted, self._present)
-        self._limiter.step(target[:3], target[3:], dt)
+        c = self._counts
+        c.ticks += 1
+        c.late += dt > 2.0 * self._period
+        c.limited += self._limiter.step(target[:3], target[3:], dt)
+        c.held += self.state is State.HOLD
         return self._limiter.translation.value, self._limiter.rotation.value

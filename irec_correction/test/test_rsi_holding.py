@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the controller sees in each cycle, whatever is lost, late, doubled or overtaken: at most one step of the limits."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from chain import PERIOD
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from irec_correction.limits import OffsetLimiter, OffsetLimits
+from irec_correction.rsi.conversation import Conversation
+from irec_correction.rsi.holding import PATIENCE, RESTART
+from irec_correction.state import State
+
+LIMITS = OffsetLimits()
+RESOLUTION = 2e-7  # m, two values of 0.1 um on the wire
+STEP = LIMITS.translation.rate * PERIOD + RESOLUTION
+FIRST_STEP = LIMITS.translation.acceleration * PERIOD**2 + RESOLUTION  # from rest
+FAR = np.array([2e-3, -1e-3, 1e-3])
+REPLY = re.compile(rb'X="([^"]+)" Y="([^"]+)" Z="([^"]+)".*<IPOC>(\d+)<')
+
+
+class Source:
+    """Follows a target within the limits; stands in for the chain."""
+
+    state, reason = State.ACTIVE, ""
+
+    def __init__(self) -> None:
+        self.target, self.limiter = FAR, OffsetLimiter(LIMITS, PERIOD)
+
+    def take(self, packet, now): ...
+    def report(self, values): ...
+    def start(self, now): ...
+    def stop(self, now): ...
+
+    def offset(self, now):
+        self.limiter.step(self.target, np.zeros(3), PERIOD)
+        return self.limiter.translation.value, self.limiter.rotation.value
+
+    def settle(self, translation, rotation):
+        self.limiter.settle(translation, rotation)
+
+    def restart(self, now):
+        self.limiter.reset()
+
+
+@dataclass(frozen=True)
+class Counting:
+    """How a controller counts late cycles, and whether an answer one cycle late acts all the same."""
+
+    in_all: bool = False
+    lag: int = 0
+    takes_late: bool = False
+    sent: bool = True
+    counts: bool = True
+
+
+IN_A_ROW = Counting()
+
+
+class Link:
+    """A controller and the conversation with it, one cycle per call, no time passes."""
+
+    def __init__(self, counting: Counting = IN_A_ROW, ipoc: int = 4_208_000_000) -> None:
+        self.source = Source()
+        self.talk = Conversation(self.source, "IREC", 4)
+        self.counting, self.ipoc = counting, ipoc
+        self.held = np.zeros(3)
+        self.acted = [np.zeros(3)]
+        self.row = self.all = 0
+        self.shown = [0]
+        self.underway: bytes | None = None
+        self.before: tuple[int, int | None] | None = None
+        self.silent = False
+
+    def hear(self, packet: tuple[int, int | None]) -> bytes | None:
+        reply = self.talk.reply(*packet, self.silent)
+        self.silent = False
+        self.talk.settle(0.0)
+        return reply
+
+    def cycle(self, what: str = "") -> None:
+        if self.talk.wants_tick and what != "early":
+            self.talk.tick(0.0)
+        self.ipoc += 4
+        c = self.counting
+        delay = self.shown[-1 - min(c.lag, len(self.shown) - 1)] if c.sent else None
+        packet = self.ipoc, delay
+        replies = []
+        if what != "lose_sent":
+            replies.append(self.hear(packet))
+            if what == "doubled":
+                replies.append(self.hear(packet))
+            if what == "old_again" and self.before is not None:
+                replies.append(self.hear(self.before))
+            self.before = packet
+        given = [r for r in replies if r is not None]
+        in_time = False
+        for late, reply in ((True, self.underway), *((False, r) for r in given)):
+            if reply is None or (not late and what in ("lose_answer", "late_answer")):
+                continue
+            *xyz, ipoc = REPLY.search(reply).groups()
+            right = int(ipoc) == self.ipoc
+            if right or (late and c.takes_late):
+                self.held = 1e-3 * np.array([float(v) for v in xyz])
+            in_time |= right
+        self.underway = given[-1] if what == "late_answer" and given else None
+        self.row = 0 if in_time else self.row + 1
+        self.all += not in_time
+        self.shown.append((self.all if c.in_all else self.row) if c.counts else 0)
+        self.acted.append(self.held)
+
+    def run(self, cycles: int, what: str = "") -> Link:
+        for _ in range(cycles):
+            self.cycle(what)
+        return self
+
+    def stop_and_start(self, pause: int) -> None:
+        """RSI off, and on again: the correction is gone; the count goes on where it counts all."""
+        self.ipoc += 4 * pause
+        self.held, self.row, self.underway = np.zeros(3), 0, None
+        self.shown = [self.all if self.counting.in_all else 0]
+        self.acted = [np.zeros(3)]
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Of the correction that acts, m per cycle."""
+        return np.linalg.norm(np.diff(np.array(self.acted), axis=0), axis=1)
+
+
+COUNTINGS = [Counting(in_all, lag, late) for in_all in (False, True) for lag in (0, 1) for late in (False, True)]
+FAULTS = ["lose_sent", "lose_answer", "late_answer", "doubled", "old_again", "early"]
+
+
+@pytest.mark.parametrize("counting", COUNTINGS)
+def test_the_offset_arrives_with_any_way_of_counting(counting):
+    link = Link(counting).run(200)
+    np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
+    assert link.steps.max() <= STEP
+    assert link.talk.holding.sessions == 1
+
+
+@pytest.mark.parametrize("counting", COUNTINGS)
+@pytest.mark.parametrize("packets", [1, 2, 5, 60, 200])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_no_step_above_the_rate_limit_in_any_cycle(counting, fault, packets):
+    link = Link(counting)
+    for cycles, what in ((25, ""), (packets, fault), (20, ""), (packets, fault), (300, "")):
+        link.run(cycles, what)
+    assert link.steps.max() <= STEP
+    np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
+    assert link.talk.holding.sessions == 1
+
+
+@settings(max_examples=150)
+@given(
+    st.sampled_from(COUNTINGS),
+    st.lists(st.sampled_from(["", "", "", *FAULTS]), max_size=120),
+    st.lists(st.tuples(*(st.floats(-3e-3, 3e-3) for _ in range(3))), min_size=1, max_size=4),
+)
+def test_no_step_above_the_rate_limit_with_any_sequence_of_faults(counting, faults, targets):
+    link = Link(counting).run(8)
+    for i, what in enumerate(faults):
+        link.source.target = np.array(targets[i * len(targets) // len(faults)])
+        link.cycle(what)
+    link.run(10)
+    assert link.steps.max() <= STEP
+
+
+@settings(max_examples=100)
+@given(st.booleans(), st.lists(st.sampled_from(["", "", "", "lose_sent", "lose_answer", "early", "doubled"]), max_size=120))
+def test_after_a_cycle_in_which_the_robot_stood_it_starts_within_the_limit_of_acceleration(in_all, faults):
+    link = Link(Counting(in_all)).run(20)
+    for what in faults:
+        link.cycle(what)
+    steps = link.steps
+    stood = steps[:-1] == 0.0
+    assert np.all(steps[1:][stood] <= FIRST_STEP)
+
+
+@pytest.mark.parametrize("counting", COUNTINGS)
+@pytest.mark.parametrize("pause", [20, 120, 4000])
+def test_a_new_session_begins_at_zero(counting, pause):
+    link = Link(counting).run(300)
+    link.stop_and_start(pause)
+    link.run(300)
+    assert link.steps.max() <= STEP
+    assert link.talk.holding.sessions == 2
+    np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
+
+
+def test_a_controller_that_was_switched_off_begins_at_zero():
+    link = Link().run(200)
+    link.ipoc, link.all = 4_000, 0
+    link.stop_and_start(0)
+    link.run(300)
+    assert link.steps.max() <= STEP
+    assert link.talk.holding.sessions == 2
+
+
+def test_ipoc_that_comes_to_its_end_is_no_new_session():
+    link = Link(ipoc=(1 << 32) - 4 * 50).run(50)
+    link.ipoc -= 1 << 32
+    link.run(50)
+    assert link.talk.holding.sessions == 1 and link.talk.holding.lost == 0
+    assert link.steps.max() <= STEP
+
+
+def test_a_session_that_was_running_before_gets_no_answer_until_it_has_ended():
+    link = Link()
+    link.held, link.acted, link.row, link.shown = FAR, [FAR], 12, [12]
+    link.run(RESTART)
+    assert link.steps.max() == 0.0
+    assert "running before this process" in link.talk.holding.problem
+    link.stop_and_start(400)
+    link.silent = True
+    link.run(200)
+    assert link.steps.max() <= STEP and link.talk.holding.problem == ""
+    np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
+
+
+@pytest.mark.parametrize(("counting", "said"), [
+    (Counting(sent=False), "DEF_Delay"), (Counting(counts=False), "cycle_ms"), (Counting(lag=4), ""),
+])  # fmt: skip
+def test_without_a_count_that_can_be_relied_on_nothing_is_answered_and_the_reason_said(counting, said):
+    link = Link(counting).run(PATIENCE + 3)
+    assert not np.any(link.acted)
+    assert said in link.talk.holding.problem
+    assert link.talk.holding.sessions == 0
+
+
+def test_a_wrong_cycle_time_is_named():
+    link = Link()
+    for _ in range(10):
+        link.ipoc += 8
+        link.cycle()
+    assert "cycle_ms" in link.talk.holding.problem
+    assert not np.any(link.acted)
+
+
+def test_answers_that_the_controller_never_takes_are_complained_of_until_it_does():
+    link = Link().run(60, "lose_answer")
+    assert "sentype" in link.talk.holding.problem
+    assert not np.any(link.acted)
+    link.run(300)
+    assert link.talk.holding.problem == ""
+    np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
