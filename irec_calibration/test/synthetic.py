@@ -16,6 +16,7 @@ ORIGINS = ((0, 0, 0.675), (0.35, 0, 0), (0, 0, 1.15), (0.4, 0, 0.041), (0.8, 0, 
 AXES = ((0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0), (0, 1, 0), (1, 0, 0))
 COMPLIANCE = np.array([2.5e-7, 2.0e-7, 3.0e-7, 1.0e-6, 1.2e-6, 1.8e-6])
 TRANSVERSE = np.array([3e-8, 5e-8, 6e-8, 4e-8, 7e-8, 5e-8, 3e-7, 2e-7, 4e-7, 3e-7, 5e-7, 4e-7])
+JOINTS = ((-0.7, 0.1, -0.4, -1.5, 0.4, -1.5), (0.7, 0.8, 0.5, 1.5, 1.3, 1.5))
 LOAD_CASES = {1: (0, 0, -1100), 2: (280, 0, -1100), 3: (-280, 0, -1100), 4: (0, -280, -1100), 5: (0, 280, -1100)}
 
 
@@ -47,19 +48,19 @@ def session(
     extra: Callable[[Scene], np.ndarray] | None = None,
     compliance: np.ndarray = COMPLIANCE,
     transverse: np.ndarray = TRANSVERSE,
+    joints: tuple[tuple[float, ...], tuple[float, ...]] = JOINTS,
 ) -> Session:
     """A loaded session: 18-DOF truth, five load cases a pose, plus what `extra` adds to the marker's displacement.
 
     Args:
         extra: function of the noise-free scene -> displacement of the marker in base_link, (n, 3), m.
+        joints: lowest and highest joint angles of the poses, rad.
     """
     rng = np.random.default_rng(seed)
     noise = noise or Noise(tracker_m=7.5e-6, tracker_m_per_m=3e-6, force_n=1.0, settling_m=2e-6)
     robot = Robot(urdf())
     rows = 6 * poses
-    q = np.repeat(
-        rng.uniform((-0.7, 0.1, -0.4, -1.5, 0.4, -1.5), (0.7, 0.8, 0.5, 1.5, 1.3, 1.5), (poses, 6)), 6, axis=0
-    ) + rng.normal(0, 5e-4, (rows, 6))
+    q = np.repeat(rng.uniform(*joints, (poses, 6)), 6, axis=0) + rng.normal(0, 5e-4, (rows, 6))
     case = np.tile(np.arange(6), poses)
     force = np.array([LOAD_CASES.get(int(j), (0, 0, 0)) for j in case], dtype=float)
     force += np.where(case[:, None] > 0, rng.normal(0, 15.0, (rows, 3)), 0.0)

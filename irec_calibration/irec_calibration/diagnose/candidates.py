@@ -57,19 +57,25 @@ class Trial:
 
 def parts(study: Study, effect: Effect) -> Iterator[tuple[dict[str, float], Block, list[str], list[Parameter]]]:
     """All columns of an effect for each choice of its shape values: shape, block, group of each column, parameters."""
-    parameters = effect.parameters(study.ready)
-    shaped = [p for p in parameters if p.grid]
-    free = [i for i, p in enumerate(parameters) if not p.grid]
+    shaped = [p for p in effect.parameters(study.ready) if p.grid]
     for values in product(*(shape_values(study, effect, p) for p in shaped)):
         shape = {p.name: v for p, v in zip(shaped, values, strict=True)}
-        theta = np.array([shape.get(p.name, 0.0) for p in parameters])
-        chosen = [parameters[i] for i in free]
-        scale = np.array([p.scale for p in chosen])
-        A = study.columns(study.regressor(effect, theta)[:, :, free] * scale)
-        width = np.array([prior_width(effect.id, p, study.ready.n_joints) for p in chosen])
-        lower = np.array([p.lower for p in chosen]) / scale
-        upper = np.array([p.upper for p in chosen]) / scale
-        yield shape, Block(A, lower, upper, width), [p.group for p in chosen], chosen
+        block, chosen = block_columns(study, effect, shape)
+        yield shape, block, [p.group for p in chosen], chosen
+
+
+def block_columns(study: Study, effect: Effect, shape: dict[str, float]) -> tuple[Block, list[Parameter]]:
+    """All columns of an effect at given values of its shape, and the parameter of each."""
+    parameters = effect.parameters(study.ready)
+    free = [i for i, p in enumerate(parameters) if not p.grid]
+    theta = np.array([shape.get(p.name, 0.0) for p in parameters])
+    chosen = [parameters[i] for i in free]
+    scale = np.array([p.scale for p in chosen])
+    A = study.columns(study.regressor(effect, theta)[:, :, free] * scale)
+    width = np.array([prior_width(effect.id, p, study.ready.n_joints) for p in chosen])
+    lower = np.array([p.lower for p in chosen]) / scale
+    upper = np.array([p.upper for p in chosen]) / scale
+    return Block(A, lower, upper, width), chosen
 
 
 def shape_values(study: Study, effect: Effect, parameter: Parameter) -> tuple[float, ...]:

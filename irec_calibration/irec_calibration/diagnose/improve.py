@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from ..effects import Effect, find_effect
 from ..errors import Cancelled, EffectError, ModelError
@@ -15,6 +15,7 @@ from ..typing import Json
 from .candidates import try_effect
 from .held_out import HeldOut, gain, held_out
 from .judge import judge
+from .parts import Parts, parts_json, settle
 from .result import Diagnosis, finite
 from .run import Progress, examine
 from .search import NATS_TO_NAME, Hypothesis, refit, search
@@ -34,6 +35,7 @@ class Rung:
         added: effect that this version has and the one before has not; empty for the first.
         cv_rms_m, cv_rms_se_m: error on held-out poses and its standard error over poses; fit_rms_m: on the poses of the fit.
         log_evidence: for the addition.
+        parts: of each effect that was added so far: which axes or directions the session proves.
     """
 
     added: str
@@ -43,6 +45,7 @@ class Rung:
     cv_rms_se_m: float
     log_evidence: float
     model: Model
+    parts: dict[str, Parts] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,7 @@ class Ladder:
                 "cv_rms_m": r.cv_rms_m,
                 "cv_rms_se_m": r.cv_rms_se_m,
                 "log_evidence": r.log_evidence,
+                "parts": parts_json(r.parts),
             }
             for r in self.rungs
         ]
@@ -112,8 +116,10 @@ def improve(
                 stopped = "what is left has structure, but no effect explains it"
             break
         for step in _one_by_one(study, verdict.chosen):
-            study = step.study
-            rungs.append(_rung(study, step.ids[-1], step.log_evidence, rungs[-1].model))
+            # an effect that was added before may need fewer axes now
+            settled = settle(step.study, (*(r.added for r in rungs if r.added), step.ids[-1]))
+            study = settled.study
+            rungs.append(_rung(study, step.ids[-1], step.log_evidence, rungs[-1].model, settled.parts))
         say(min(0.95, 0.5 + 0.15 * len(rungs)), f"looking for a further effect beside {', '.join(rungs[-1].effects)}")
         verdict = judge(search(study, check), None, check)
     else:
@@ -162,16 +168,20 @@ def _one_by_one(study: Study, chosen: Hypothesis) -> list[Hypothesis]:
     return [*steps, chosen]
 
 
-def _rung(study: Study, added: str, evidence: float, parent: Model | None) -> Rung:
+def _rung(study: Study, added: str, evidence: float, parent: Model | None, parts: dict[str, Parts] | None = None) -> Rung:
     cv = held_out(study)
     return Rung(
         added, tuple(t.effect.id for t in study.terms), study.fit.rms, cv.rms_m, cv.rms_se_m, evidence,
-        versioned(study, cv, parent, f"added {added}" if added else "start"),
+        versioned(study, cv, parent, f"added {added}" if added else "start", parts or {}), parts or {},
     )  # fmt: skip
 
 
-def versioned(study: Study, cv: HeldOut, parent: Model | None, change: str) -> Model:
-    """The model of a study with its history: one entry for each version."""
+def versioned(study: Study, cv: HeldOut, parent: Model | None, change: str, parts: dict[str, Parts] | None = None) -> Model:
+    """The model of a study with its history: one entry for each version.
+
+    Args:
+        parts: which axes or directions of the added effects the session proves.
+    """
     new = model_of(study.fit, cv_rms=cv.rms_m)
     entry = {
         "change": change,
@@ -182,6 +192,8 @@ def versioned(study: Study, cv: HeldOut, parent: Model | None, change: str) -> M
         "fit_rms_m": float(study.fit.rms),
         "noise_floor_m": float(study.observation.whiten.floor),
     }
+    if parts:
+        entry["parts"] = finite(parts_json(parts))
     return replace(new, history=(*(parent.history if parent else ()), entry))
 
 
@@ -208,7 +220,9 @@ def add_effect(model: Model, effect: Effect, session: Session) -> tuple[Model, S
     found = refit(old, old, trial)
     if found is None:
         raise EffectError(f"effect '{effect.id}' could not be fitted to {session.name} together with {', '.join(model.effects)}")
-    return versioned(found.study, held_out(found.study), model, f"added {effect.id}"), old, found.study
+    settled = settle(found.study, found.ids)
+    new = versioned(settled.study, held_out(settled.study), model, f"added {effect.id}", settled.parts)
+    return new, old, settled.study
 
 
 def _with_weight(model: Model, effect: Effect, old: Study) -> tuple[Model, Study, Study]:

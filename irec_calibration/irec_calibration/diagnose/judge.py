@@ -8,14 +8,18 @@ told apart from its rivals or named together with them. A wrong name given with 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from math import log
 
 import numpy as np
 
+from ..model import Term
 from .candidates import Trial
 from .held_out import HeldOut, gain, held_out
+from .parts import Parts, Settled, settle
+from .priors import FACTORS
 from .search import NATS_TO_NAME, NATS_TO_SEPARATE, Hypothesis, Search, chi2_and_expectation
-from .study import Study
+from .study import Study, study_of
 from .tool_weight import Readings
 from .unnamed import Unnamed, depends_on
 from .unnamed import search as search_unnamed
@@ -38,6 +42,8 @@ class Judgement:
         rivals: other hypotheses with as many effects that can't be told from it.
         left: structures without a name on top of the chosen model, best first; unnamed: on top of the model alone.
         explained: share of the excess over noise that the chosen model explains.
+        parts: of each named effect, which axes or directions are proven; other: the likeliest other set of them, with the names
+            of the two, where they are not told apart.
     """
 
     status: str
@@ -52,6 +58,8 @@ class Judgement:
     size_m: float
     reason: str
     unnamed: tuple[Unnamed, ...] = ()
+    parts: dict[str, Parts] = field(default_factory=dict)
+    other: tuple[tuple[Term, ...], tuple[str, str]] | None = None
 
 
 def judge(found: Search, readings: Readings | None, check: Callable[[], None] = lambda: None) -> Judgement:
@@ -93,7 +101,23 @@ def judge(found: Search, readings: Readings | None, check: Callable[[], None] = 
     status = "missing_effect" if named else "unexplained"
     if status == "unexplained" and (beaten or not variables):
         variables = tuple(depends_on(list(unnamed), NATS_FOR_STRUCTURE)) if unnamed else ()
-    return Judgement(status, chosen, rivals, left, variables, explained, readings, base_cv, chosen_cv, size, reason, unnamed)
+    judged = Judgement(status, chosen, rivals, left, variables, explained, readings, base_cv, chosen_cv, size, reason, unnamed)
+    return _with_proven_parts(judged, settle(chosen.study, chosen.ids)) if named else judged
+
+
+def _with_proven_parts(judged: Judgement, settled: Settled) -> Judgement:
+    """A judgement that names an effect, with the model cut down to the parts that the session asks for."""
+    if judged.chosen is None:
+        return judged
+    chosen, study = cut_down(judged.chosen, settled), settled.study
+    cv = judged.held_out_chosen if study is judged.chosen.study else held_out(study)
+    return replace(judged, chosen=chosen, held_out_chosen=cv, parts=settled.parts, other=settled.other)
+
+
+def cut_down(hypothesis: Hypothesis, settled: Settled) -> Hypothesis:
+    """A hypothesis with its effects as they were settled."""
+    terms = {t.effect.id: t for t in settled.study.terms}
+    return replace(hypothesis, added=tuple(terms[i] for i in hypothesis.ids), study=settled.study)
 
 
 def _odds(structure: Unnamed) -> float:
@@ -125,7 +149,19 @@ def _choose(found: Search) -> Hypothesis | None:
     pair = found.pairs[0]
     before, one, two = (chi2_and_expectation(s)[0] for s in (found.study, best.study, pair.study))
     needed = pair.log_evidence - best.log_evidence > NATS_TO_NAME and one - two > SHARE_OF_SECOND * (before - two)
-    return _by_importance(found, pair) if needed else best
+    return _by_importance(found, _needed_of(pair)) if needed else best
+
+
+def _needed_of(pair: Hypothesis) -> Hypothesis:
+    """A pair, or one of its effects where the other adds nothing to it: what was tried first may have been in its place."""
+    for term in pair.added:
+        rest = study_of(pair.study.observation, tuple(t for t in pair.study.terms if t.effect.id != term.effect.id))
+        with_it, without = (s.bench.posterior(s.base) for s in (pair.study, rest))
+        lost = with_it.log_evidence - log(len(FACTORS)) - without.log_evidence
+        if min(lost, without.chi2 - with_it.chi2) < NATS_TO_NAME:
+            ids = [t.effect.id for t in pair.added if t is not term]
+            return Hypothesis(tuple(t for t in rest.terms if t.effect.id in ids), rest, pair.log_evidence - max(lost, 0.0))
+    return pair
 
 
 def _by_importance(found: Search, pair: Hypothesis) -> Hypothesis:

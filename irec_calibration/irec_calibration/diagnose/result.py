@@ -6,12 +6,13 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..model import Model, Term
 from ..typing import Array, IntArray, Json
+from .parts import Parts, parts_json
 
 FORMAT = "irec-diagnosis/1"
 
@@ -55,6 +56,8 @@ class Verdict:
         size_m: RMS of what is in the residual beyond noise, m.
         explained: share of the explainable excess that the named effects (or the best try) explain.
         confident: the first name stands alone; otherwise others explain the session as well.
+        parts: of each named effect that acts in axes or directions: which of them the session proves. An axis that is not
+            among the proven ones is not to be acted upon.
     """
 
     status: str
@@ -64,6 +67,7 @@ class Verdict:
     size_m: float = 0.0
     explained: float = 0.0
     confident: bool = True
+    parts: dict[str, Parts] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -164,6 +168,7 @@ class Diagnosis:
                 "size_m": v.size_m,
                 "explained": v.explained,
                 "confident": v.confident,
+                "parts": parts_json(v.parts),
             },
             "candidates": [
                 {

@@ -17,8 +17,9 @@ from .candidates import Trial
 from .comparison import compare_observed
 from .flexible import flexible_gain
 from .held_out import HeldOut, gain, held_out
-from .judge import Judgement, judge, p_value
+from .judge import Judgement, cut_down, judge, p_value
 from .next_poses import next_measurements
+from .parts import parts_in, settle
 from .result import Candidate, Diagnosis, Measurement
 from .search import NATS_TO_NAME, NATS_TO_SEPARATE, Hypothesis, Search, search
 from .study import Study, prepare
@@ -118,6 +119,8 @@ def _candidates(found: Search, verdict: Judgement, readings: Readings | None, ch
     for trial in found.trials:
         check()
         hypothesis = exact.get(trial.effect.id)
+        if hypothesis is not None:
+            hypothesis = _needed_parts_only(hypothesis, verdict)
         if trial.effect.id == TOOL_WEIGHT:
             if readings is not None:
                 out.append(_weight_candidate(trial, readings, base, len(found.trials)))
@@ -128,7 +131,7 @@ def _candidates(found: Search, verdict: Judgement, readings: Readings | None, ch
         mean, se, _ = gain(base, after)
         out.append(
             Candidate(
-                trial.effect.id, _groups(trial), term, after.rms_m, after.rms_se_m, mean, se, evidence,
+                trial.effect.id, parts_in(term, found.study), term, after.rms_m, after.rms_se_m, mean, se, evidence,
                 p_value(trial, found.study, len(found.trials)), _plausible(trial, term, found.study),
                 {n: {"value": e.value, "se": e.se, "unit": e.unit} for n, e in term.estimates.items()},
             )
@@ -171,8 +174,11 @@ def _weight_candidate(trial: Trial, readings: Readings, base: HeldOut, tried: in
     )
 
 
-def _groups(trial: Trial) -> tuple[str, ...]:
-    return tuple(g for g in trial.best.groups if g)
+def _needed_parts_only(hypothesis: Hypothesis, verdict: Judgement) -> Hypothesis:
+    """A single effect on top of the model with the parts that it needs there."""
+    if verdict.parts and verdict.chosen is not None and verdict.chosen.ids == hypothesis.ids:
+        return verdict.chosen
+    return cut_down(hypothesis, settle(hypothesis.study, hypothesis.ids))
 
 
 def _term_of(trial: Trial, study: Study) -> Term:
@@ -207,11 +213,19 @@ def _next(found: Search, verdict: Judgement) -> tuple[Measurement, ...]:
     if one is None:
         return ()
     others = [*verdict.rivals, *(h for h in found.singles if h.ids != one.ids)]
-    if others:
-        other, name = others[0].study.terms, "+".join(others[0].ids)
-    else:
-        other, name = found.study.terms, "the model without it"
+    session = found.study.session
+    planned: list[Measurement] = []
+    if verdict.other is not None:
+        planned += _apart(session, one.study.terms, *verdict.other)
+    if verdict.rivals or not planned:
+        other = others[0].study.terms if others else found.study.terms
+        name = "+".join(others[0].ids) if others else "the model without it"
+        planned = [*_apart(session, one.study.terms, other, ("+".join(one.ids), name)), *planned]
+    return tuple(planned)
+
+
+def _apart(session: Session, a: Sequence[Term], b: Sequence[Term], names: tuple[str, str]) -> tuple[Measurement, ...]:
     try:
-        return next_measurements(found.study.session, one.study.terms, other, ("+".join(one.ids), name))
+        return next_measurements(session, a, b, names)
     except SolveError:
         return ()

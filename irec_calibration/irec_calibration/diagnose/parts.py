@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which parts of an effect (axes, directions) a session proves, and which it can't tell apart.
+
+Somebody opens a gearbox on the strength of an axis' name. So an axis is named only where every explanation within reach has
+it: the best set of axes without it, with any other in its place and everything refitted, must explain the session clearly
+worse. Parts that earn nothing of their own are taken out of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from math import comb, log
+
+import numpy as np
+
+from ..effects import Effect
+from ..errors import SolveError
+from ..model import Estimate, Term
+from ..typing import Json
+from .candidates import SMALLEST_COLUMN, block_columns, supported
+from .evidence import Posterior
+from .priors import FACTORS
+from .study import Study, study_of
+
+NATS_TO_PROVE = 6.5  # log evidence that a part needs of its own: odds of 600, as the name of an effect does
+NATS_WITHIN_REACH = 5.0  # sets of parts that explain the session this much worse than the best are not told from it
+SHARE_TO_PROVE = 0.02  # of what the effect explains: a smaller part may make up for an effect's form that is not quite right
+REFINED = np.geomspace(1 / 1.6, 1.6, 5)  # around a fitted shape value, in which fits with other parts look for theirs
+ROUNDS = 3  # of moving to a better set of parts
+KNOWN_EVERYWHERE = ("joint_torsion", "link_bending")  # every axis gives way: no axis is taken out for want of evidence
+
+Names = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Which parts of an effect are there.
+
+    Attributes:
+        proven: every explanation within reach has them.
+        one_of: what there is besides, where that is not told apart: sets of parts of which each would do, likeliest first.
+        perhaps: in the model, but with too little evidence or too small a share to be named.
+        log_evidence: of each part in the model, over the best explanation without it.
+    """
+
+    proven: Names = ()
+    one_of: tuple[Names, ...] = ()
+    perhaps: Names = ()
+    log_evidence: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A fitted model after its added effects were cut down to the parts that they need.
+
+    Attributes:
+        parts: effect id -> what is known of its parts; effects without parts are not in it.
+        other: terms of a model with the likeliest other set of parts, and the two sets in words; None where all is told apart.
+    """
+
+    study: Study
+    parts: dict[str, Parts]
+    other: tuple[tuple[Term, ...], tuple[str, str]] | None = None
+
+
+class _Sets:
+    """Scores sets of parts of one effect on top of a model; higher is better, natural log."""
+
+    def __init__(self, rest: Study, effect: Effect, fitted: dict[str, float]) -> None:
+        self.rest, self.effect = rest, effect
+        self.n_base = rest.base.A.shape[1]
+        self.alone = rest.bench.posterior(rest.base)
+        self.tables = [(s, *block_columns(rest, effect, s)) for s in _shapes(rest, effect, fitted)]
+        shown = [
+            p.group
+            for _, block, parameters in self.tables
+            for p, length in zip(parameters, np.linalg.norm(block.A, axis=0), strict=True)
+            if p.group and length > SMALLEST_COLUMN
+        ]
+        self.names: Names = tuple(dict.fromkeys(shown))
+        self._known: dict[Names, tuple[float, Posterior, int]] = {}
+
+    def ordered(self, names: Iterable[str]) -> Names:
+        wanted = set(names)
+        return tuple(n for n in self.names if n in wanted)
+
+    def columns(self, names: Names, table: int) -> list[int]:
+        _, block, parameters = self.tables[table]
+        shows = np.linalg.norm(block.A, axis=0) > SMALLEST_COLUMN
+        return [i for i, p in enumerate(parameters) if shows[i] and p.group in (*names, "")]
+
+    def fit(self, names: Names) -> tuple[float, Posterior, int]:
+        """Score, posterior and number of the shape of a set, at the shape that suits it best."""
+        if names not in self._known:
+            best: tuple[float, Posterior, int] = (self.alone.log_evidence, self.alone, 0)
+            tried = False
+            for i, (_, block, _) in enumerate(self.tables):
+                chosen = self.columns(names, i)
+                if not names or not chosen:
+                    continue
+                found = self.rest.bench.posterior(
+                    self.rest.base + block.take(chosen), FACTORS, slice(self.n_base, None)
+                )  # fmt: skip
+                gained = supported(found.log_evidence - self.alone.log_evidence, self.alone.chi2 - found.chi2)
+                score = self.alone.log_evidence + gained - log(comb(len(self.names), len(names)))
+                if not tried or score > best[0]:
+                    best, tried = (score, found, i), True
+            self._known[names] = best
+        return self._known[names]
+
+    def score(self, names: Names) -> float:
+        return self.fit(names)[0]
+
+    def cost(self, names: Names, part: str) -> float:
+        """What a set loses without one of its parts; only as far as the residual rises."""
+        less = tuple(n for n in names if n != part)
+        return min(self.score(names) - self.score(less), max(self.fit(less)[1].chi2 - self.fit(names)[1].chi2, 0.0))
+
+    def cut_down(self, names: Names) -> Names:
+        """Parts taken out one by one, the least needed first, as long as neither one nor all of them are missed."""
+        top = self.score(self.names)
+        while len(names) > 1:
+            least = min(names, key=lambda n: self.cost(names, n))
+            less = tuple(n for n in names if n != least)
+            top = max(top, self.score(names))
+            if self.cost(names, least) >= NATS_TO_PROVE or top - self.score(less) >= NATS_TO_PROVE:
+                break
+            names = less
+        return names
+
+    def others(self, names: Names) -> list[Names]:
+        """Sets that could stand for one: each part left out, or replaced by another, or by all others cut down."""
+        out: list[Names] = []
+        for part in names:
+            less = tuple(n for n in names if n != part)
+            out += [less] if less else []
+            out += [self.ordered((*less, n)) for n in self.names if n not in names]
+            rest = tuple(n for n in self.names if n != part)
+            out += [self.cut_down(rest)] if len(rest) > 1 else []
+        return [n for n in dict.fromkeys(out) if n != names]
+
+    def best(self, start: Names) -> tuple[Names, list[Names]]:
+        """The best set that can be reached from one, and those beside it that can't be told from it, likeliest first."""
+        names = self.cut_down(start)
+        others = self.others(names)
+        for _ in range(ROUNDS):
+            top = max(others, key=self.score, default=names)
+            # a part left out is no better explanation, but the same one cut down too far
+            if set(top) < set(names) or self.score(top) <= self.score(names):
+                break
+            names = self.cut_down(top)
+            others = self.others(names)
+        near = [n for n in others if self.score(n) > self.score(names) - NATS_WITHIN_REACH]
+        return names, sorted(near, key=lambda n: -self.score(n))
+
+    def parts(self, names: Names, near: Sequence[Names]) -> Parts:
+        """What is known of the parts of the best set."""
+        everything = max(self.alone.chi2 - self.fit(names)[1].chi2, 1e-9)
+        own, proven = {}, []
+        for n in names:
+            less = tuple(m for m in names if m != n)
+            without = [less, *(s for s in self.others(names) if n not in s)]
+            own[n] = min(self.cost(names, n), self.score(names) - max(self.score(s) for s in without))
+            share = (self.fit(less)[1].chi2 - self.fit(names)[1].chi2) / everything
+            if all(n in s for s in near) and self.cost(names, n) >= NATS_TO_PROVE and share >= SHARE_TO_PROVE:
+                proven.append(n)
+        one_of = _alternatives([names, *near], proven)
+        spoken = {*proven, *(n for s in one_of for n in s)}
+        return Parts(tuple(proven), one_of, tuple(n for n in names if n not in spoken), own)
+
+    def term(self, names: Names) -> Term:
+        """The effect with these parts, with the values of the linearised fit."""
+        _, posterior, i = self.fit(names)
+        shape, block, parameters = self.tables[i]
+        chosen = self.columns(names, i)
+        value = dict(zip((parameters[c].name for c in chosen), posterior.x[self.n_base :], strict=True))
+        estimates = {}
+        for p in self.effect.parameters(self.rest.ready):
+            if p.name in value or p.name in shape:
+                v = shape[p.name] if p.name in shape else float(value[p.name]) * p.scale
+                estimates[p.name] = Estimate(float(np.clip(v, p.lower, p.upper)), unit=p.unit, lower=p.lower, upper=p.upper)
+        return Term(self.effect, estimates)
+
+
+def _alternatives(sets: Sequence[Names], proven: Sequence[str]) -> tuple[Names, ...]:
+    """What sets that are not told apart have besides what is proven and besides what all of them share."""
+    shared = set(sets[0]).intersection(*sets[1:])
+    left = list(dict.fromkeys(tuple(n for n in s if n not in proven and n not in shared) for s in sets))
+    if () in left:  # one of them does without: nothing more is needed
+        return ()
+    least = [s for s in left if not any(set(o) < set(s) for o in left)]
+    return tuple(least) if len(least) > 1 else ()
+
+
+def _shapes(rest: Study, effect: Effect, fitted: dict[str, float]) -> list[dict[str, float]]:
+    """Shape values to score sets of parts at: the effect's grid, the fitted ones and some around these."""
+    shaped = [p for p in effect.parameters(rest.ready) if p.grid]
+    values = []
+    for p in shaped:
+        found = {*p.grid, fitted[p.name]} if p.name in fitted else set(p.grid)
+        if min(found) > 0.0 and p.name in fitted:
+            found |= {float(v) for v in np.clip(fitted[p.name] * REFINED, p.lower, p.upper)}
+        values.append(sorted(found))
+    return [{p.name: float(v) for p, v in zip(shaped, row, strict=True)} for row in product(*values)]
+
+
+def parts_in(term: Term, study: Study) -> Names:
+    """The parts of an effect that a term of a fitted model has."""
+    groups = (p.group for p in term.effect.parameters(study.ready) if p.name in term.estimates and p.group)
+    return tuple(dict.fromkeys(groups))
+
+
+def settle(study: Study, added: Iterable[str]) -> Settled:
+    """Cut the added effects of a fitted model down to the parts that the session asks for, and say which of them it proves.
+
+    Args:
+        study: the model with the added effects.
+        added: their ids; effects that have no parts are left alone.
+    """
+    known: dict[str, Parts] = {}
+    other = None
+    for effect_id in added:
+        term = next((t for t in study.terms if t.effect.id == effect_id), None)
+        present = parts_in(term, study) if term else ()
+        if term is None or not present:
+            continue
+        try:
+            rest = study_of(study.observation, tuple(t for t in study.terms if t is not term))
+            sets = _Sets(rest, term.effect, {n: e.value for n, e in term.estimates.items()})
+            if len(sets.names) < 2:
+                known[effect_id] = Parts(proven=present)
+                continue
+            names, near = sets.best(sets.ordered(present) or sets.names)
+            known[effect_id] = sets.parts(names, near)
+            if effect_id in KNOWN_EVERYWHERE:
+                said = known[effect_id]
+                known[effect_id] = replace(said, perhaps=tuple(n for n in present if n not in said.proven), one_of=())
+                continue
+            if names != present:
+                study = _with(study, sets.term(names))
+            rival = next((n for n in near if not set(n) < set(names)), None)
+            if known[effect_id].one_of and rival is not None and other is None:
+                other = (_with(study, sets.term(rival)).terms, (_label(effect_id, names), _label(effect_id, rival)))
+        except SolveError:
+            known[effect_id] = Parts(perhaps=present)
+    return Settled(study, known, other)
+
+
+def parts_json(parts: dict[str, Parts]) -> Json:
+    """What is known of the parts of effects, for a result file."""
+    return {
+        effect: {
+            "proven": list(p.proven),
+            "one_of": [list(s) for s in p.one_of],
+            "perhaps": list(p.perhaps),
+            "log_evidence": p.log_evidence,
+        }
+        for effect, p in parts.items()
+    }
+
+
+def _with(study: Study, term: Term) -> Study:
+    """A model with the term of the same effect replaced, refitted."""
+    return study_of(study.observation, tuple(term if t.effect.id == term.effect.id else t for t in study.terms))
+
+
+def _label(effect_id: str, names: Names) -> str:
+    return f"{effect_id}:{'+'.join(names)}"
