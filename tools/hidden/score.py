@@ -5,7 +5,8 @@
 
 An oracle that is told which effect is hidden fits the 18-DOF model with it to the same session. An effect is visible where
 the oracle gains significantly. Validation error: RMS difference between predicted and true deflection of the TCP at other
-poses.
+poses. Where an effect was hidden in particular axes, the axes that the tool names are compared too; an axis that is named and
+has nothing hidden counts as a wrong name.
 """
 
 from __future__ import annotations
@@ -17,8 +18,11 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
+from axes import AxisScore, axes_in_model, axes_in_text, axes_in_words, hidden_axes, score_axes
 from irec_calibration.diagnose import start_terms
 from irec_calibration.diagnose.held_out import held_out
 from irec_calibration.diagnose.improve import add_effect, versioned
@@ -46,6 +50,7 @@ class Case:
     confusable: list[str] = field(default_factory=list)
     ranked: list[str] = field(default_factory=list)
     depends_on: list[str] = field(default_factory=list)
+    axes: list[AxisScore] = field(default_factory=list)
     visible: bool = False
     before: float = float("nan")
     after: float = float("nan")
@@ -61,13 +66,17 @@ class Case:
         return self.first_right or any(e in self.hidden for e in [*self.named, *self.ranked][:3])
 
     @property
+    def wrong_axis(self) -> bool:
+        return any(a.is_wrong for a in self.axes)
+
+    @property
     def right(self) -> bool:
         expected = {"clean": "adequate", "outside": "unexplained"}.get(self.kind)
-        return self.first_right if expected is None else self.status == expected
+        return self.first_right and not self.wrong_axis if expected is None else self.status == expected
 
     @property
     def wrong_with_confidence(self) -> bool:
-        return self.status == "missing_effect" and not self.first_right
+        return self.status == "missing_effect" and (not self.first_right or self.wrong_axis)
 
 
 def deflections(path: Path) -> dict[tuple[int, int, int], np.ndarray]:
@@ -122,15 +131,37 @@ def read_case(row: dict[str, str], folder: Path, truth: Path, out: Path) -> Case
     case.before = validation_error(deflections(out / case.name / "base.csv"), true)
     case.after = validation_error(deflections(out / case.name / "model.csv"), true)
     case.seconds = json.loads((out / case.name / "timing.json").read_text(encoding="utf-8"))["improve_s"]
+    case.axes = read_axes(case, said, truth, out)
     if case.kind in ("single", "pair"):
         case.visible, case.oracle = oracle(folder, case, true)
     return case
+
+
+def read_axes(case: Case, said: dict[str, Any], truth: Path, out: Path) -> list[AxisScore]:
+    """The axes of every hidden effect that was named."""
+    hidden = yaml.safe_load((truth / case.name / "truth.yaml").read_text(encoding="utf-8"))["effects"]
+    model = yaml.safe_load((out / case.name / "model.yaml").read_text(encoding="utf-8"))
+    ladder = json.loads((out / case.name / "ladder.json").read_text(encoding="utf-8"))
+    scores = []
+    for one in hidden:
+        effect = one["effect"]
+        where = hidden_axes(effect, one["parameters"])
+        if where is not None and effect in case.named:
+            text = axes_in_text(said["verdict"]["text"], find_effect(effect).label)
+            scores.append(score_axes(effect, where, said, text, axes_in_model(model, effect), ladder))
+    return scores
 
 
 def rate(cases: list[Case], test: str) -> str:
     """Share of the cases that pass a test, as text."""
     passed = sum(bool(getattr(c, test)) for c in cases)
     return f"{passed} of {len(cases)} ({100 * passed / len(cases):.0f} %)" if cases else "no case"
+
+
+def axes_of(a: AxisScore) -> str:
+    """Axes named and hidden, for the line of a session."""
+    named = ", ".join(sorted(a.right | a.wrong)) or ("not told apart" if a.offered else "no axis")
+    return f"[{a.kind}: {named}; hidden {', '.join(sorted(a.hidden)) if len(a.hidden) < 6 else 'all'}]"
 
 
 def summary(cases: list[Case]) -> str:
@@ -143,7 +174,8 @@ def summary(cases: list[Case]) -> str:
         lines.append(f"hidden effect at {100 * strength:.0f} %: {len(visible)} of {len(every)} visible to the oracle")
         lines.append(f"  first named right      {rate(visible, 'first_right')}")
         lines.append(f"  among the first three  {rate(visible, 'among_three')}")
-        lines.append(f"  wrong name, confident  {rate(every, 'wrong_with_confidence')}")
+        axis = sum(c.first_right and c.wrong_axis for c in every)
+        lines.append(f"  wrong name, confident  {rate(every, 'wrong_with_confidence')}, {axis} of them only a wrong axis")
     strong = [c for c in single if c.strength >= 0.08 and c.visible]
     lines.append(f"all at 8 % and more, visible: first {rate(strong, 'first_right')}, first three {rate(strong, 'among_three')}")
     pairs = [c for c in cases if c.kind == "pair" and c.visible]
@@ -154,6 +186,7 @@ def summary(cases: list[Case]) -> str:
     lines.append(f"clean cells: false alarms {sum(c.status != 'adequate' for c in clean)} of {len(clean)}")
     outside = [c for c in cases if c.kind == "outside"]
     lines.append(f"outside the catalogue: called unexplained {sum(c.status == 'unexplained' for c in outside)} of {len(outside)}")
+    lines += axes_in_words([a for c in cases for a in c.axes])
     for label, some in (
         ("8 % and more", strong),
         ("3 %", [c for c in single if c.strength < 0.08 and c.visible]),
@@ -191,7 +224,8 @@ def main() -> int:
         hidden, said = "+".join(c.hidden) or "-", "+".join(c.named)
         seen = "" if c.visible or c.kind in ("clean", "outside") else "(not visible)"
         mark = "ok" if c.right else "--"
-        print(f"{mark} {c.name} {c.kind:8} {hidden:40} {100 * c.strength:3.0f} % {c.status:15} {said} {seen}")
+        where = "; ".join(axes_of(a) for a in c.axes)
+        print(f"{mark} {c.name} {c.kind:8} {hidden:40} {100 * c.strength:3.0f} % {c.status:15} {said} {where} {seen}".rstrip())
     print(summary(cases))
     return 0
 
