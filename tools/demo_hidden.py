@@ -124,7 +124,11 @@ def _tell(args: argparse.Namespace, out: Path, ladder: Any, session: Any, course
             "residual_rms_m": ladder.rungs[-1].fit_rms_m,
             "noise_floor_m": ladder.noise_floor_m,
         },
-        "verdict": {"status": ladder.before.verdict.status, "effects": list(ladder.before.verdict.effects)},
+        "verdict": {
+            "status": ladder.before.verdict.status,
+            "effects": list(ladder.before.verdict.effects),
+            "proven": {e: list(p.proven) for e, p in ladder.before.verdict.parts.items()},
+        },
         "wall_s": progress.finish(),
         "files": {
             p.stem: os.path.relpath(p, out)
