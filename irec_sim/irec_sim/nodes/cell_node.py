@@ -14,7 +14,7 @@ from typing import Any
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion, Vector3, Wrench, WrenchStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3, WrenchStamped
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
@@ -24,7 +24,7 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
-from std_msgs.msg import Header, String
+from std_msgs.msg import String
 
 from irec_msgs.msg import RobotState
 
@@ -37,7 +37,9 @@ from ..truth import make_truth, read_truth
 from .course_side import CourseSide
 from .followers import Followers
 from .loop import SimulationLoop
+from .messages import point_message, pose_message, wrench_message
 from .robot_side import FAULT_REASON, RobotSide
+from .startup import begin
 from .streams import LATCHED_QOS, SENSOR_QOS, Stream, Streams, Template, ros_time
 
 RATES = {  # Hz of simulated time
@@ -81,8 +83,9 @@ class CellNode(Node):
         axes = [*cell.chain.joint_names, *cell.rail_names]
         ones = [float(k + 1) for k in range(len(axes))]
         self._joints = Template(JointState(name=axes, position=ones), ones)
-        self._pose = Template(_pose(_NUMBERS[:7]), _NUMBERS[:7])
-        self._wrench, self._raw = (Template(_wrench(frame, _NUMBERS[:6]), _NUMBERS[:6]) for frame in ("tool0", "ft_sensor"))
+        self._pose = Template(pose_message(_NUMBERS[:7]), _NUMBERS[:7])
+        six = _NUMBERS[:6]
+        self._wrench, self._raw = (Template(wrench_message(frame, six), six) for frame in ("tool0", "ft_sensor"))
         self._point: dict[str, Template] = {}
         self._temperature: dict[str, Publisher] = {}
         self._send_state = self._sender(RobotState, "robot/state", self._state)
@@ -161,7 +164,7 @@ class CellNode(Node):
             return None
         station, p = reading
         if station not in self._point:
-            self._point[station] = Template(_point(station, _NUMBERS[:3]), _NUMBERS[:3])
+            self._point[station] = Template(point_message(station, _NUMBERS[:3]), _NUMBERS[:3])
         return self._point[station].serialized(stamp, p.tolist())
 
     def _send_temperatures(self) -> None:
@@ -243,20 +246,6 @@ class CellNode(Node):
         return SetParametersResult(successful=True)
 
 
-def _pose(v: list[float]) -> PoseStamped:
-    pose = Pose(position=Point(x=v[0], y=v[1], z=v[2]), orientation=Quaternion(x=v[3], y=v[4], z=v[5], w=v[6]))
-    return PoseStamped(header=Header(frame_id="base_link"), pose=pose)
-
-
-def _wrench(frame: str, v: list[float]) -> WrenchStamped:
-    wrench = Wrench(force=Vector3(x=v[0], y=v[1], z=v[2]), torque=Vector3(x=v[3], y=v[4], z=v[5]))
-    return WrenchStamped(header=Header(frame_id=frame), wrench=wrench)
-
-
-def _point(station: str, v: list[float]) -> PointStamped:
-    return PointStamped(header=Header(frame_id=station), point=Point(x=v[0], y=v[1], z=v[2]))
-
-
 def _problem(name: str, value: Any) -> str:
     """Why this can't be the value of a numeric parameter; empty where it can."""
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -268,13 +257,15 @@ def _problem(name: str, value: Any) -> str:
 
 def main() -> int:
     """Run the cell until SIGINT or SIGTERM; 2 where a parameter or file is wrong."""
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # the simulation has to stop before the context goes
+    if not begin("cell", signal_handler_options=SignalHandlerOptions.NO):  # the simulation has to stop before the context goes
+        return 2
     asked_to_stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: asked_to_stop.set())
     try:
         node = CellNode()
-        simulator = Node("simulator")
+        # a launch file gives its name with __node:=, which would go for both
+        simulator = Node("simulator", cli_args=["--ros-args", "-r", "__node:=simulator"])
         node.course = CourseSide(simulator, node.cell, node.loop, node.robot, asked_to_stop)
         course_thread = threading.Thread(target=_spin, args=(simulator, node.loop, asked_to_stop), name="course", daemon=True)
         node.loop.start()

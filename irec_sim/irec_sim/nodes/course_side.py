@@ -89,7 +89,9 @@ class CourseSide:
         plan = plan_course(cell.cell)
         self._samples, self._way, self._steps = [], 0.0, 0
         start = self._loop.call(lambda: cell.commanded)
-        self._drive(joint_move(cell.chain, start, (plan.q_approach, plan.rail), SPEED_SHARE, self._robot.rail_speed))
+        home = (cell.cell.home, plan.rail)  # from the end of the last course straight to its begin leads through the tooling
+        for a, b in ((start, home), (home, (plan.q_approach, plan.rail))):
+            self._drive(joint_move(cell.chain, a, b, SPEED_SHARE, self._robot.rail_speed))
         try:
             # the process force stands in for contact from here on: the arm's sag would press it into the tooling
             self._loop.call(lambda: self._begin(plan))
