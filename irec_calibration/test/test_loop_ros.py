@@ -241,3 +241,11 @@ def test_a_node_with_a_bad_parameter_refuses_to_start_and_says_why(
     )
     assert done.returncode == 2
     assert message in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("module", ["procedure_node", "calibration_node", "recorder_node"])
+def test_ros_arguments_that_cannot_be_read_are_a_line_and_no_trace(ros_domain: int, module: str) -> None:
+    arguments = [sys.executable, "-m", f"irec_calibration.nodes.{module}", "--ros-args", "--params-file", "/nowhere/params.yaml"]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 2
+    assert "/nowhere/params.yaml" in done.stderr and "Traceback" not in done.stderr

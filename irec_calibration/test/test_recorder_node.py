@@ -120,8 +120,11 @@ def test_start_and_stop_by_service(node: Node, start_process: Callable[..., subp
     assert (tmp_path / "bag" / "metadata.yaml").is_file()
 
 
-def test_a_recorder_without_topics_refuses_to_start(ros_domain: int, tmp_path: Path) -> None:
-    done = subprocess.run(command(tmp_path / "bag", topics="['']"), capture_output=True, text=True, timeout=PATIENCE)
+@pytest.mark.parametrize(("topics", "named"), [("['']", "topics"), ("['joint_states','no topic']", "no topic")])
+def test_a_recorder_without_topics_or_with_a_wrong_one_refuses_to_start(
+    ros_domain: int, tmp_path: Path, topics: str, named: str
+) -> None:
+    done = subprocess.run(command(tmp_path / "bag", topics=topics), capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 2
-    assert "topics" in done.stderr
+    assert named in done.stderr
     assert "Traceback" not in done.stderr

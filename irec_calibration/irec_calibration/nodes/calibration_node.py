@@ -34,6 +34,7 @@ from ..provenance import model_of
 from ..recalibration import Register, judge
 from ..session import read_session
 from .analyses import READERS, arguments_of, diagnosed, run_command
+from .startup import begin
 
 ANSWER_WAIT = 10.0  # s for another node to answer
 
@@ -230,7 +231,8 @@ def _wait(future: Any, timeout: float | None) -> Any:
 
 def main() -> int:
     """Serve until SIGINT or SIGTERM."""
-    rclpy.init()
+    if not begin("calibration_node"):
+        return 2
     try:
         node = CalibrationNode()
         executor = MultiThreadedExecutor(num_threads=4)

@@ -43,11 +43,13 @@ from ..procedure.settle import Streams
 from ..session.data import Station
 from .instruments import Instruments
 from .robot_link import RobotLink
+from .startup import begin
 
 STEP_PERIOD = 0.01  # s of the machine's clock between looks at the readings
 STATUS_PERIOD = 0.5  # s of the machine's clock
 ROBOT_WAIT = 15.0  # s of the machine's clock that the robot's driver may take to appear
 SHUTDOWN_WAIT = 30.0  # s of the machine's clock for the robot to leave the contact when the node is stopped
+FAREWELL = 0.5  # s after that, in which whoever asked for the run gets the answer
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 EVENTS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -335,7 +337,8 @@ def _duration(seconds: float) -> Duration:
 
 def main() -> int:
     """Run until SIGINT or SIGTERM; a run under way is ended retracted first."""
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    if not begin("procedure_node", signal_handler_options=SignalHandlerOptions.NO):
+        return 2
     asked_at: list[float] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: asked_at.append(time.monotonic()))
@@ -347,6 +350,9 @@ def main() -> int:
             executor.spin_once(timeout_sec=0.2)
             if asked_at and (node.stop("the node was stopped") or time.monotonic() - asked_at[0] > SHUTDOWN_WAIT):
                 break
+        until = time.monotonic() + FAREWELL
+        while rclpy.ok() and time.monotonic() < until:
+            executor.spin_once(timeout_sec=0.1)
     except (IrecError, ParameterException) as error:
         print(f"procedure_node: {error}", file=sys.stderr)
         return 2

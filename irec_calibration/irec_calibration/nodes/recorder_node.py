@@ -16,16 +16,18 @@ from typing import Any
 import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_topic_name import validate_topic_name
 from std_srvs.srv import Trigger
 
 from .. import __version__
 from ..errors import RecordingError
 from ..recording import BagWriter, Qos
+from .startup import begin
 
 DISCOVERY_PERIOD = 0.2  # s of the machine's clock, between looks for topics that are not there yet
 STOP_TIME = 2.0  # s that a stop may wait for messages that have arrived already
@@ -43,6 +45,11 @@ class RecorderNode(Node):
         self._attachments = [Path(p) for p in self._texts("attachments", "files to store inside the recording")]
         if not self._topics:
             raise RecordingError("parameter 'topics' is empty; name at least one topic to record")
+        for topic in self._topics:
+            try:
+                validate_topic_name(topic)
+            except NameValidationException as error:
+                raise RecordingError(f"parameter 'topics' names '{topic}': {' '.join(str(error).split())}") from error
         for path in self._attachments:
             if not path.is_file():
                 raise RecordingError(f"parameter 'attachments' names {path}, which is not a file")
@@ -151,7 +158,8 @@ class RecorderNode(Node):
 
 def main() -> int:
     """Record until SIGINT or SIGTERM, then write what has arrived by then and finish the file."""
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    if not begin("recorder", signal_handler_options=SignalHandlerOptions.NO):
+        return 2
     asked_to_stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: asked_to_stop.set())
