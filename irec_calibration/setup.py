@@ -19,6 +19,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
+        (f"share/{NAME}/config/nodes", ["config/nodes/calibration.yaml", "config/nodes/recorder.yaml"]),
     ],
     install_requires=['numpy>=1.26,<3', 'scipy>=1.13', 'pin>=2.7', 'PyYAML>=6.0', 'mcap>=1.2', 'mcap-ros2-support>=0.5.5'],
     extras_require={'report': ['matplotlib>=3.8', 'jinja2>=3.1'], 'ml': ['scikit-learn>=1.5'], 'mesh': ['trimesh>=4.4']},

@@ -20,6 +20,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
+        (f"share/{NAME}/config/nodes", ["config/nodes/correction.yaml"]),
     ],
     install_requires=["irec_calibration", "numpy>=1.26,<3", "scipy>=1.13", "pin>=2.7", "PyYAML>=6.0", "python-can>=4.4"],
     extras_require={},

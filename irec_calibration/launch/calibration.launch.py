@@ -10,6 +10,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+RETRACT_TIME = "40.0"  # s; launch kills 5 s after an interrupt if nobody objects, with the robot pressing on the tooling
+
 
 def generate_launch_description() -> LaunchDescription:
     """Nodes with the parameters given on the command line."""
@@ -30,6 +32,7 @@ def generate_launch_description() -> LaunchDescription:
                 name="procedure_node",
                 namespace="",
                 output="screen",
+                sigterm_timeout=RETRACT_TIME,
                 parameters=[{"cell": text("cell"), "session_folder": text("session_folder"), "use_sim_time": use_sim_time}],
             ),
             Node(

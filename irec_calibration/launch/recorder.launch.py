@@ -1,31 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Record everything that a cell publishes.
+"""Record what a cell publishes.
 
-    ros2 launch irec_calibration recorder.launch.py output:=/path/to/folder params:=config/nodes/recorder.yaml
+    ros2 launch irec_calibration recorder.launch.py output:=/path/to/folder [params:=/path/to/recorder.yaml]
 """
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+PARAMS = ["config", "nodes", "recorder.yaml"]
+CLOSE_TIME = "20.0"  # s for what has arrived to be written; launch would kill 5 s after an interrupt
 
 
 def generate_launch_description() -> LaunchDescription:
     """The recorder with its topics from a parameter file."""
+    value = LaunchConfiguration
+    params = PathJoinSubstitution([FindPackageShare("irec_calibration"), *PARAMS])
     return LaunchDescription(
         [
             DeclareLaunchArgument("output", description="folder to write; it must not exist"),
-            DeclareLaunchArgument("params", description="parameter file with the topics, e.g. config/nodes/recorder.yaml"),
+            DeclareLaunchArgument("params", default_value=params, description="parameter file with the topics"),
+            DeclareLaunchArgument("use_sim_time", default_value="false", description="true with irec_sim"),
             Node(
                 package="irec_calibration",
                 executable="recorder_node",
                 name="recorder",
                 namespace="",
                 output="screen",
+                sigterm_timeout=CLOSE_TIME,
                 parameters=[
-                    LaunchConfiguration("params"),
-                    {"output": ParameterValue(LaunchConfiguration("output"), value_type=str)},
+                    value("params"),
+                    {
+                        "output": ParameterValue(value("output"), value_type=str),
+                        "use_sim_time": ParameterValue(value("use_sim_time"), value_type=bool),
+                    },
                 ],
             ),
         ]

@@ -5,30 +5,20 @@ ros2 launch irec_sim cell.launch.py cell:=afp speed_factor:=4.0 record:=out/cell
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PythonExpression
+from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
 
-TOPICS = [
-    "joint_states",
-    "tcp_pose",
-    "wrench",
-    "wrench_raw",
-    "tracker/point",
-    "robot/state",
-    "robot_description",
-    "irec/offset",
-    "irec/correction/state",
-    "irec/procedure/status",
-    "irec/procedure/load_case",
-]
+CLOSE_TIME = "20.0"  # s for what has arrived to be written; launch would kill 5 s after an interrupt
 
 
 def generate_launch_description() -> LaunchDescription:
     """Arguments: see `ros2 launch irec_sim cell.launch.py --show-args`."""
     value = LaunchConfiguration
+    topics = PathJoinSubstitution([FindPackageShare("irec_calibration"), "config", "nodes", "recorder.yaml"])
     return LaunchDescription(
         [
             DeclareLaunchArgument("cell", default_value="afp", description="cell file, or its name in config/cells"),
@@ -42,6 +32,7 @@ def generate_launch_description() -> LaunchDescription:
                 name="cell",
                 namespace="",
                 output="screen",
+                on_exit=Shutdown(reason="the cell has ended"),  # there is nothing to record without it
                 parameters=[
                     {
                         "cell": ParameterValue(value("cell"), value_type=str),
@@ -57,9 +48,11 @@ def generate_launch_description() -> LaunchDescription:
                 name="recorder",
                 namespace="",
                 output="screen",
-                condition=IfCondition(PythonExpression(["'", value("record"), "' != ''"])),
+                sigterm_timeout=CLOSE_TIME,
+                condition=IfCondition(NotEqualsSubstitution(value("record"), "")),
                 parameters=[
-                    {"output": ParameterValue(value("record"), value_type=str), "topics": TOPICS, "use_sim_time": True}
+                    topics,
+                    {"output": ParameterValue(value("record"), value_type=str), "use_sim_time": True},
                 ],
             ),
         ]
