@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -130,3 +131,12 @@ def test_activated_node_streams_minus_the_deflection_and_fades_out_when_the_sens
     assert np.linalg.norm(cell_side.offsets[-1]) < 1e-8
     steps = np.linalg.norm(np.diff(np.array([np.zeros(3), *cell_side.offsets]), axis=0), axis=1)
     assert steps.max() <= 0.02 * 0.004 * 3  # messages may be lost on the way here: three ticks at most between two
+
+
+@pytest.mark.parametrize("module", ["correction_node", "rsi_bridge", "can_ft_node"])
+def test_ros_arguments_that_cannot_be_read_are_a_line_and_no_trace(ros_domain, module):
+    arguments = [sys.executable, "-m", f"irec_correction.nodes.{module}", "--ros-args", "--params-file", "/nowhere/params.yaml"]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "/nowhere/params.yaml" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -14,6 +14,7 @@ from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
 from irec_calibration.model_file import file_sha256, load_model
+from irec_calibration.nodes.startup import begin
 from irec_calibration.robot import Payload, Robot
 from irec_calibration.tool_load import ToolLoad
 from rclpy.executors import ExternalShutdownException
@@ -337,7 +338,8 @@ def run(args: list[str] | None, priority: int, refused: str) -> int:
     Args:
         priority: SCHED_FIFO priority of the process, 0: none. refused: why the system did not permit it, or empty.
     """
-    rclpy.init(args=args)
+    if not begin("correction_node", args=args):
+        return 2
     try:
         node = CorrectionNode()
     except Exception as error:  # parameters out of range, and whatever else rclpy raises for them

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from dataclasses import replace
@@ -15,6 +16,7 @@ from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
 from irec_calibration.model_file import file_sha256, load_model
+from irec_calibration.nodes.startup import begin
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -215,12 +217,14 @@ class RsiNode(Node):
 
 def main(pipe: Connection, arguments: list[str]) -> int:
     """Run the node; exit code."""
-    rclpy.init(args=arguments)
+    if not begin("rsi_bridge", args=arguments):
+        return 2
     try:
         node = RsiNode(pipe)
     except Exception as error:  # IrecError, and whatever rclpy raises for parameters out of range
         print(f"rsi_bridge: error: {error}", file=sys.stderr)
-        pipe.send(None)
+        with contextlib.suppress(OSError):  # the loop's process has ended already where it was the one that refused
+            pipe.send(None)
         rclpy.try_shutdown()
         return 2
     executor = EventsExecutor()
