@@ -21,7 +21,7 @@ from .judge import Judgement, cut_down, judge, p_value
 from .next_poses import next_measurements
 from .parts import parts_in, settle
 from .result import Candidate, Diagnosis, Measurement
-from .search import NATS_TO_NAME, NATS_TO_SEPARATE, Hypothesis, Search, search
+from .search import NATS_TO_NAME, NATS_TO_SEPARATE, Hypothesis, Search, refit, search
 from .study import Study, prepare
 from .tool_weight import Readings, reference_readings
 from .where import views
@@ -118,16 +118,19 @@ def _candidates(found: Search, verdict: Judgement, readings: Readings | None, ch
     out = []
     for trial in found.trials:
         check()
-        hypothesis = exact.get(trial.effect.id)
-        if hypothesis is not None:
-            hypothesis = _needed_parts_only(hypothesis, verdict)
         if trial.effect.id == TOOL_WEIGHT:
             if readings is not None:
                 out.append(_weight_candidate(trial, readings, base, len(found.trials)))
             continue
+        known = exact.get(trial.effect.id)
+        hypothesis = known
+        if hypothesis is None and trial.log_evidence > NATS_TO_NAME:
+            hypothesis = refit(found.study, found.study, trial)
+        if hypothesis is not None:
+            hypothesis = _needed_parts_only(hypothesis, verdict)
         term = hypothesis.added[0] if hypothesis else _term_of(trial, found.study)
         after = held_out(hypothesis.study) if hypothesis else held_out(found.study, trial.best.block)
-        evidence = hypothesis.log_evidence if hypothesis else trial.log_evidence
+        evidence = known.log_evidence if known else trial.log_evidence
         mean, se, _ = gain(base, after)
         out.append(
             Candidate(
