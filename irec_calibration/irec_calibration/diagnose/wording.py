@@ -124,7 +124,7 @@ def _parts_in_words(label: str, parts: Parts | None) -> list[str]:
         )
     if parts.perhaps:
         of = "Perhaps also" if parts.proven or parts.one_of else f"{label[0].upper()}{label[1:]}: not sure where; perhaps"
-        out.append(f"{of} {', '.join(parts.perhaps)}: too little evidence of its own to name.")
+        out.append(f"{of} {', '.join(parts.perhaps)}: too small a part to be sure of.")
     return out
 
 
