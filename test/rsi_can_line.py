@@ -170,6 +170,12 @@ class Line:
             assert time.monotonic() < end, f"{what} not within {seconds} s; {self.controller.counts}"  # type: ignore[union-attr]
             self.drive(0.05)
 
+    def close(self) -> None:
+        """Take sensor and controller away."""
+        self.adapter.unplug()
+        if self.controller is not None:
+            self.controller.close()
+
     def press(self, t: float) -> None:
         """The process force of the course's beginning comes within PRESS_TIME."""
         self.cell.set_process(min(1.0, t / PRESS_TIME) * self.plan.force(0.0))

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,13 @@ def model(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
+def line() -> Iterator[Line]:
+    made = Line()
+    yield made
+    made.close()
+
+
+@pytest.fixture
 def port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
         s.bind(("127.0.0.1", 0))
@@ -38,8 +46,7 @@ def pressed(line: Line) -> None:
     line.drive(1.0)
 
 
-def test_course_is_held_through_rsi_and_can(model, port, ros_domain, start_process):
-    line = Line()
+def test_course_is_held_through_rsi_and_can(model, line, port, ros_domain, start_process):
     line.start(start_process, model, port)
     pressed(line)
     times, corrected = course_deviation(line.cell, line.plan, line.drive, SPEED)
@@ -53,7 +60,6 @@ def test_course_is_held_through_rsi_and_can(model, port, ros_domain, start_proce
     assert mean[1] < 0.1 * mean[0], (mean, worst)
     assert worst[1] < 0.25 * worst[0], (mean, worst)
     assert line.largest_step <= STEP
-    line.adapter.unplug()
 
 
 class Operator:
@@ -97,9 +103,15 @@ def children_of(pid: int) -> list[int]:
     return [c for c in children if b"resource_tracker" not in Path(f"/proc/{c}/cmdline").read_bytes()]
 
 
-def test_failures_make_no_step_and_only_a_dead_process_stops_the_robot(model, port, ros_domain, start_process, tmp_path):
-    line, own = Line(), Path(shutil.copy(model, tmp_path / "in_force.yaml"))
-    operator = Operator()  # before the robot runs: a controller that is silent for long begins a new session
+@pytest.fixture
+def operator(ros_domain) -> Iterator[Operator]:
+    made = Operator()
+    yield made
+    made.close()
+
+
+def test_failures_make_no_step_and_only_a_dead_process_stops_the_robot(model, line, port, operator, start_process, tmp_path):
+    own = Path(shutil.copy(model, tmp_path / "in_force.yaml"))
     _, bridge = line.start(start_process, own, port)
     pressed(line)
     controller = line.controller
@@ -131,7 +143,6 @@ def test_failures_make_no_step_and_only_a_dead_process_stops_the_robot(model, po
     line.drive(0.5)
     assert gone() and not controller.stopped
     assert line.largest_step <= STEP
-    operator.close()
     os.kill(bridge.pid, signal.SIGKILL)
     line.drive(2.0)
     assert "packets in a row" in controller.stopped

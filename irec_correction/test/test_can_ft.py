@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from irec_correction.can_ft.netft_can import Assembler, Calibration, Request, advance, request
+from irec_correction.can_ft.netft_can import Assembler, Calibration, Request, advance, errors_of, request
 from irec_correction.can_ft.reader import Bus, ReaderSettings, SensorReader
 from irec_correction.errors import CorrectionError, ProtocolError, SettingsError
 from irec_sim.devices.netft_can import NetFtCan, SlcanAdapter, serve
@@ -48,7 +48,7 @@ def test_short_answer_is_two_frames_of_four_numbers():
     frames = [(0x45, struct.pack("<hhhh", 1000, 500, -200, 0)), (0x46, struct.pack("<hhHH", -32768, 1, 0x8000, 7))]
     reading = feed(Assembler(0x40, calibration, short=True), frames)
     np.testing.assert_allclose(reading.wrench, [10.0, -2.0, -327.68, 0.5, 0.0, 0.001])
-    assert reading.errors == ["any error"] and reading.sample == 7
+    assert reading.errors == ["status 0x8000"] and reading.sample == 7
 
 
 def test_units_other_than_newton_are_converted():
@@ -86,6 +86,13 @@ def test_bias_takes_the_present_load_as_zero():
     sensor, assembler = NetFtCan(lambda: LOAD), Assembler(0x40, CALIBRATION)
     assert sensor.answer(*request(0x40, Request.BIAS)) == []
     np.testing.assert_allclose(feed(assembler, sensor.answer(0x40, b"\x01")).wrench, 0.0)
+
+
+@pytest.mark.parametrize(("status", "short", "errors"), [
+    (0, False, 0), (0, True, 0), (1 << 16, False, 0), (1 << 9, False, 1), (1 << 17 | 1 << 31, False, 2), (1, True, 1),
+])  # fmt: skip
+def test_a_status_bit_is_an_error_unless_it_is_known_to_be_none(status, short, errors):
+    assert len(errors_of(status, short)) == errors
 
 
 def test_counter_goes_on_over_its_end():
@@ -176,7 +183,7 @@ def test_status_bits_arrive(on_virtual_bus):
     sensor, running = on_virtual_bus
     sensor.faults.status = 1 << 5 | 1 << 16
     running.until(lambda: running.readings and running.readings[-1].errors)
-    assert running.readings[-1].errors == ["supply voltage too low"]
+    assert running.readings[-1].errors == ["bit 5 (supply voltage too low)"]
 
 
 def test_over_a_serial_adapter_the_reader_survives_that_it_is_unplugged():

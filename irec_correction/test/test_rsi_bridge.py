@@ -6,8 +6,10 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,17 +21,13 @@ from irec_calibration.model_file import save_model
 from irec_correction.deflection import Deflection
 from irec_correction.shared import WRENCH_SIZE, SharedValues
 from irec_sim.devices.rsi_controller import RobotState, RsiController
+from ros_side import START, RosSide
 
 pytestmark = pytest.mark.ros
 CELL = Path(__file__).parents[2] / "config/cells/afp.yaml"
 STATE = RobotState(Q, np.array([1.5, 0.0, 1.2]), np.zeros(3))
 STEP = 0.02 * PERIOD + 2e-7
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
+OFFSET = np.array([4e-4, -3e-4, 2e-4])  # m
 
 
 def listening(port: int) -> bool:
@@ -38,32 +36,41 @@ def listening(port: int) -> bool:
     return any(line.split()[1] == entry for line in Path("/proc/net/udp").read_text().splitlines()[1:])
 
 
-def wait_for_port(port: int, seconds: float = 60.0) -> None:
-    """A controller that was running before the bridge would get no answer: it might hold a correction."""
-    end = time.monotonic() + seconds
-    while not listening(port):
-        assert time.monotonic() < end, f"nobody listens on port {port} within {seconds} s"
-        time.sleep(0.05)
-
-
 class Drive:
     """The controller, and the sensor's shared memory."""
 
-    def __init__(self, port: int, block: SharedValues) -> None:
-        self.controller = RsiController(("127.0.0.1", port), timeout=10**6)
-        self.block, self.rng = block, np.random.default_rng(0)
+    def __init__(self) -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+            s.bind(("127.0.0.1", 0))
+            self.port = int(s.getsockname()[1])
+        self.controller = RsiController(("127.0.0.1", self.port), timeout=10**6)
+        self.block, self.rng = SharedValues.create(WRENCH_SIZE), np.random.default_rng(0)
+        self.sensor_works = True
+
+    def wait_for_bridge(self) -> None:
+        """A controller that was running before the bridge would get no answer: it might hold a correction."""
+        end = time.monotonic() + START
+        while not listening(self.port):
+            assert time.monotonic() < end, f"nobody listens on port {self.port} within {START} s"
+            time.sleep(0.05)
 
     def state(self) -> RobotState:
-        self.block.write(np.array([time.monotonic(), self.controller.counts.cycles, 0.0, *(WRENCH + self.rng.normal(0, 0.2, 6))]))
+        if self.sensor_works:
+            noisy = WRENCH + self.rng.normal(0, 0.2, 6)
+            self.block.write(np.array([time.monotonic(), self.controller.counts.cycles, 0.0, *noisy]))
         return STATE
 
-    def until(self, condition, seconds: float, what: str) -> None:
+    def cycles(self) -> None:
+        """A few, in real time."""
+        self.controller.run(5, self.state)
+
+    def until(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, (
                 f"{what} not within {seconds} s; offset {self.sent[-1]}, {self.controller.counts.late} late"
             )
-            self.controller.run(10, self.state)
+            self.cycles()
 
     @property
     def sent(self) -> list[np.ndarray]:
@@ -75,29 +82,52 @@ class Drive:
         """Between two cycles of the controller."""
         return float(np.linalg.norm(np.diff(np.array(self.sent), axis=0), axis=1).max())
 
+    def close(self) -> None:
+        self.controller.close()
+        self.block.close()
+
+
+@pytest.fixture
+def drive() -> Iterator[Drive]:
+    made = Drive()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def watcher(ros_domain) -> Iterator[RosSide]:
+    made = RosSide("watcher")
+    yield made
+    made.close()
+
+
+def start_bridge(start_process, drive: Drive, **parameters: object) -> subprocess.Popen[bytes]:
+    given = {
+        "cell": CELL, "port": drive.port, "watch.wrench_timeout": 0.5, "watch.joints_timeout": 0.5, "watch.frozen_after": 0.5,
+        "filter.cutoff": 0.0, **parameters,
+    }  # fmt: skip
+    arguments = [item for k, v in given.items() for item in ("-p", f"{k}:={v}")]
+    return start_process([sys.executable, "-m", "irec_correction.nodes.rsi_bridge", "--ros-args", *arguments], name="rsi_bridge")
+
+
+def model_of_cell(folder: Path, name: str = "model", **changes: object) -> Path:
+    made = replace(model(), serial="KR120-0001", urdf_sha256=read_cell(CELL).robot.sha256, **changes)  # type: ignore[arg-type]
+    return save_model(made, folder / f"{name}.yaml")
+
 
 def children_of(pid: int) -> list[int]:
-    return [int(c) for c in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    """Processes that a process has started, without Python's own helpers."""
+    children = [int(c) for c in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return [c for c in children if b"resource_tracker" not in Path(f"/proc/{c}/cmdline").read_bytes()]
 
 
-def name_of(pid: int) -> str:
-    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
-
-
-def test_offset_reaches_the_controller_and_the_loop_outlives_the_node(ros_domain, start_process, tmp_path):
-    afp = replace(model(), serial="KR120-0001", urdf_sha256=read_cell(CELL).robot.sha256)
-    path = save_model(afp, tmp_path / "model.yaml")
-    port, block = free_port(), SharedValues.create(WRENCH_SIZE)
-    bridge = start_process([
-        sys.executable, "-m", "irec_correction.nodes.rsi_bridge", "--ros-args", "-p", f"cell:={CELL}", "-p", f"port:={port}",
-        "-p", f"wrench_block:={block.name}", "-p", f"model_path:={path}", "-p", "filter.cutoff:=0.0",
-        "-p", "watch.wrench_timeout:=0.5", "-p", "watch.joints_timeout:=0.5", "-p", "watch.frozen_after:=0.5",
-    ], name="rsi_bridge")  # fmt: skip
-    wait_for_port(port)
-    drive = Drive(port, block)
+def test_offset_reaches_the_controller_and_the_loop_outlives_the_node(drive, ros_domain, start_process, tmp_path):
+    path = model_of_cell(tmp_path)
+    bridge = start_bridge(start_process, drive, wrench_block=drive.block.name, model_path=path)
+    drive.wait_for_bridge()
     expected, _ = Deflection(model(), ROBOT)(Q, WRENCH[:3], WRENCH[3:], PERIOD)
-    drive.until(lambda: np.linalg.norm(drive.sent[-1] + expected) < 3e-6, 60.0, "offset of the model")
-    node = [c for c in children_of(bridge.pid) if "resource_tracker" not in name_of(c)]
+    drive.until(lambda: np.linalg.norm(drive.sent[-1] + expected) < 3e-6, START, "offset of the model")
+    node = children_of(bridge.pid)
     assert len(node) == 1
     os.kill(node[0], signal.SIGKILL)
     drive.until(lambda: np.linalg.norm(drive.sent[-1]) < 1e-7, 10.0, "offset faded out")
@@ -107,11 +137,95 @@ def test_offset_reaches_the_controller_and_the_loop_outlives_the_node(ros_domain
     assert drive.largest_step <= STEP
     bridge.send_signal(signal.SIGINT)
     assert bridge.wait(10) == 0
-    drive.controller.close()
-    block.close()
+
+
+def test_the_service_checks_robot_and_tool_and_the_node_tells_wrench_deflection_and_counters(
+    drive, watcher, start_process, tmp_path
+):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import WrenchStamped
+
+    from irec_msgs.msg import CorrectionState
+    from irec_msgs.srv import ActivateModel
+
+    states = watcher.hear(CorrectionState, "irec/correction/state")
+    processed = watcher.hear(WrenchStamped, "irec/wrench_process")
+    told = watcher.hear(DiagnosticArray, "/diagnostics")
+    start_bridge(start_process, drive, wrench_block=drive.block.name, tool="spindle")
+    drive.wait_for_bridge()
+
+    def activate(path: Path):
+        request = ActivateModel.Request(model_path=str(path))
+        return watcher.call(ActivateModel, "irec/correction/activate_model", request, drive.cycles)
+
+    refused = activate(model_of_cell(tmp_path, "other_tool", tool="roller"))
+    assert not refused.success and "'roller'" in refused.message and "'spindle'" in refused.message
+    answer = activate(model_of_cell(tmp_path, tool="spindle"))
+    assert answer.success, answer.message
+    expected, _ = Deflection(model(), ROBOT)(Q, WRENCH[:3], WRENCH[3:], PERIOD)
+
+    def follows() -> bool:
+        d = states[-1].deflection if states else None
+        return d is not None and states[-1].state == CorrectionState.ACTIVE and abs(d.z - expected[2]) < 3e-6
+
+    watcher.until(follows, "deflection in the state", each=drive.cycles)
+    state, w = states[-1], states[-1].wrench_process
+    np.testing.assert_allclose([w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z], WRENCH, atol=2.0)
+    np.testing.assert_allclose([state.deflection.x, state.deflection.y, state.deflection.z], expected, atol=3e-6)
+    assert state.model_sha256 == answer.sha256
+    f = processed[-1].wrench.force
+    np.testing.assert_allclose([f.x, f.y, f.z], WRENCH[:3], atol=2.0)
+    assert processed[-1].header.frame_id == "tool0"
+
+    def values() -> dict[str, str]:
+        ours = [s for m in told for s in m.status if s.name == "rsi_bridge: link"]
+        return {v.key: v.value for v in ours[-1].values} if ours else {}
+
+    watcher.until(lambda: int(values().get("sessions", 0)) == 1, "diagnostics", each=drive.cycles)
+    assert int(values()["answered"]) > 0 and int(values()["ticks"]) > 0
+    drive.sensor_works = False
+    watcher.until(lambda: int(values().get("fault.wrench_stale", 0)) > 0, "counter of the fault", each=drive.cycles)
+    assert drive.largest_step <= STEP
+
+
+def test_offsets_of_a_topic_are_followed_then_held_and_faded_when_they_stop(drive, watcher, start_process):
+    from geometry_msgs.msg import TransformStamped
+
+    from irec_msgs.msg import CorrectionState
+
+    out = watcher.node.create_publisher(TransformStamped, "irec/offset", 50)
+    states = watcher.hear(CorrectionState, "rsi_bridge/state")
+    start_bridge(start_process, drive, source="offset_topic", offset_timeout=0.5)
+    drive.wait_for_bridge()
+    message, frame = TransformStamped(), ["base_link"]
+    message.transform.rotation.w = 1.0
+    t = message.transform.translation
+    t.x, t.y, t.z = OFFSET.tolist()
+
+    def cell() -> None:
+        message.header.frame_id = frame[0]
+        message.header.stamp = watcher.node.get_clock().now().to_msg()
+        out.publish(message)
+        drive.cycles()
+
+    def arrived() -> bool:
+        return bool(np.linalg.norm(drive.sent[-1] - OFFSET) < 2e-7)
+
+    watcher.until(arrived, "offset of the topic", each=cell)
+    assert states[-1].state in (CorrectionState.RAMP_IN, CorrectionState.ACTIVE)
+    frame[0] = "tool0"  # as if nothing came
+    watcher.until(lambda: states[-1].state == CorrectionState.FAULT, "fault", each=cell)
+    assert "no offset" in states[-1].reason
+    drive.until(lambda: np.linalg.norm(drive.sent[-1]) < 2e-7, 10.0, "offset faded out")
+    assert drive.largest_step <= STEP
 
 
 def test_a_bridge_without_a_cell_refuses_and_says_so(ros_domain, start_process, tmp_path):
     bridge = start_process([sys.executable, "-m", "irec_correction.nodes.rsi_bridge"], name="refused")
     assert bridge.wait(60) == 2
     assert "cell" in (tmp_path / "refused.log").read_text()
+
+
+def test_a_cycle_time_that_rsi_does_not_have_is_refused(drive, ros_domain, start_process, tmp_path):
+    assert start_bridge(start_process, drive, cycle_ms=8).wait(60) == 2
+    assert "cycle_ms" in (tmp_path / "rsi_bridge.log").read_text()

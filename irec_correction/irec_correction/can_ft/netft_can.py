@@ -3,8 +3,10 @@
 
 A request goes to the base identifier with one data byte. The long answer comes in four frames of two little-endian int32 each:
 base+1 Fx Tx, base+2 Fy Ty, base+3 Fz Tz, base+4 status and sample counter; the short one in two frames of four int16: base+5
-Fx Tx Fy Ty, base+6 Fz Tz status sample. A new request ends an answer that is still being sent. (ATI 9620-05-Net FT; the
-order within the long answer is not printed there and follows the short one.)
+Fx Tx Fy Ty, base+6 Fz Tz status sample. A new request ends an answer that is still being sent.
+
+What this rests on: README.md, "Force sensor over CAN". (NETCANOEM, which public drivers speak, is another protocol of the same
+maker: strain gauges, big-endian, identifiers shifted by 4 bits.)
 """
 
 from __future__ import annotations
@@ -27,14 +29,15 @@ class Request(IntEnum):
     BIAS = 0x04
 
 
-# bit of the status word -> what it means (Net F/T system status code)
+# bit of the status code -> what it means. 0 .. 15 after NETCANOEM (ATI 9610-05-1030), 16 .. 31 after the Ethernet Axia (ATI
+# 9610-05-Ethernet Axia); the table of the Net F/T itself was not at hand, so messages give the number too
 STATUS_BITS = {
     0: "watchdog", 1: "excitation voltage too high", 2: "excitation voltage too low", 3: "artificial analog ground",
-    4: "supply voltage too high", 5: "supply voltage too low", 7: "EEPROM", 8: "invalid configuration",
-    11: "temperature too high", 12: "temperature too low", 14: "CAN bus", 15: "any error", 16: "threshold latched",
-    17: "threshold level", 31: "error",
+    4: "supply voltage too high", 5: "supply voltage too low", 6: "active calibration", 7: "EEPROM", 8: "invalid configuration",
+    11: "temperature too high", 12: "temperature too low", 14: "CAN bus", 15: "any error", 16: "monitor condition latched",
+    27: "gauge out of range", 29: "checksum of the calibration", 30: "force or torque out of range", 31: "any error",
 }  # fmt: skip
-NOT_AN_ERROR = frozenset({16, 17})
+NOT_AN_ERROR = 1 << 16
 LONG_FRAMES, SHORT_FRAMES = 4, 2
 
 
@@ -44,17 +47,30 @@ class Reading:
 
     Attributes:
         wrench: force and torque in the sensor frame, (6,), N and N m.
-        status: bits as the sensor sends them; sample: its counter.
+        status: bits as the sensor sends them; sample: its counter. short: both have 16 bits.
     """
 
     wrench: Array
     status: int
     sample: int
+    short: bool = False
 
     @property
     def errors(self) -> list[str]:
         """What the sensor complains of."""
-        return [text for bit, text in STATUS_BITS.items() if self.status >> bit & 1 and bit not in NOT_AN_ERROR]
+        return errors_of(self.status, self.short)
+
+
+def errors_of(status: int, short: bool) -> list[str]:
+    """What a status complains of. A bit without a name is an error too: the manual says that the status is normally zero.
+
+    Args:
+        short: 16 bits, of which the manual does not say which half of the code they are: any one is an error, none has a name.
+    """
+    if short:
+        return [f"status {status:#06x}"] if status else []
+    bits = [bit for bit in range(32) if status >> bit & 1 and not NOT_AN_ERROR >> bit & 1]
+    return [f"bit {bit} ({STATUS_BITS.get(bit, 'unknown')})" for bit in bits]
 
 
 @dataclass(frozen=True)
@@ -146,7 +162,7 @@ class Assembler:
         fx, tx, fy, ty = struct.unpack("<hhhh", parts[0])
         fz, tz, status, sample = struct.unpack("<hhHH", parts[1])
         counts = np.array([fx, fy, fz, tx, ty, tz], dtype=float) * self.calibration.short_scale
-        return Reading(counts * self.calibration.units_per_count, status, sample)
+        return Reading(counts * self.calibration.units_per_count, status, sample, short=True)
 
 
 def advance(before: int, now: int, bits: int) -> int:

@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
-from ..can_ft.netft_can import NOT_AN_ERROR, STATUS_BITS, Calibration
+from ..can_ft.netft_can import Calibration, errors_of
 from ..can_ft.process import RECORD, SensorSetup
 from ..can_ft.reader import Bus, ReaderSettings
 from ..errors import SettingsError
@@ -58,7 +58,7 @@ class CanFtNode(Node):
         for name, default, text in PARAMETERS:
             self.declare_parameter(name, default, ParameterDescriptor(description=text))
         self._pipe = pipe
-        self._frame = str(self._get("frame_id"))
+        self._frame, self._short = str(self._get("frame_id")), bool(self._get("short_answers"))
         self._begin()
         self._message = WrenchStamped()
         self._message.header.frame_id = self._frame
@@ -85,7 +85,7 @@ class CanFtNode(Node):
         )
         bus = Bus(str(self._get("interface")), str(self._get("channel")), int(self._get("bitrate")))
         reader = ReaderSettings(
-            bus, int(self._get("base_id")), self._get("rate"), self._get("short_answers"), self._get("sensor_rate"), calibration
+            bus, int(self._get("base_id")), self._get("rate"), self._short, self._get("sensor_rate"), calibration
         )
         self._pipe.send(SensorSetup(reader, str(self._get("block")), int(self._get("realtime_priority"))))
         kind, content = self._pipe.recv()
@@ -99,7 +99,7 @@ class CanFtNode(Node):
         """Publish one record; called in the thread that hears the sensor's process."""
         values = RECORD.unpack(record)
         self._last = values
-        if math.isnan(values[1]):
+        if math.isnan(values[1]) or errors_of(values[7], self._short):  # a reading that is not to be believed gets stale
             return
         self._came_in = time.monotonic()
         self._message.header.stamp = ros_time(values[0])
@@ -124,7 +124,7 @@ class CanFtNode(Node):
         )
         if self._last is not None:
             _, *_, word, sample, readings, unanswered, gaps, repeated, bad, failures = self._last
-            errors = [text for bit, text in STATUS_BITS.items() if word >> bit & 1 and bit not in NOT_AN_ERROR]
+            errors = errors_of(word, self._short)
             values = {"status": f"{word:#x}", "sample": sample, "readings": readings, "unanswered": unanswered, "gaps": gaps,
                       "repeated": repeated, "bad": bad, "bus_failures": failures}  # fmt: skip
             status.values = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
