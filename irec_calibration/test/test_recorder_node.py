@@ -17,9 +17,12 @@ pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
 
 import rclpy
 from geometry_msgs.msg import PointStamped
+from irec_calibration.nodes.cdr import exact_cdr
 from irec_calibration.recording import BagReader
+from irec_calibration.session import record_message
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -128,3 +131,16 @@ def test_a_recorder_without_topics_or_with_a_wrong_one_refuses_to_start(
     assert done.returncode == 2
     assert named in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_nothing_follows_a_serialized_row_with_empty_sequences() -> None:
+    from irec_msgs.msg import LoadCaseRecord
+
+    three, row = [0.0] * 3, LoadCaseRecord(joint_names=["joint_1"], joint_position=[0.0])
+    row.header.frame_id = "base_link"
+    other_encoder = record_message.encode(
+        stamp_ns=0, time=0.0, pose=0, load_case=0, repeat=0, joint_names=["joint_1"], joint_position=[0.0],
+        joint_target=[], p_tcp_in_base=three, p_marker_in_station=three, marker="", station="", wrench_in_tool=[0.0] * 6,
+        temperature_names=[], temperature=[],
+    )  # fmt: skip
+    assert len(exact_cdr(row)) == len(other_encoder) < len(serialize_message(row))

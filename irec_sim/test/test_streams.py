@@ -42,6 +42,15 @@ def test_a_template_finds_the_positions_of_a_joint_state() -> None:
     assert (list(message.name), list(message.position)) == (names, [7.0, 8.0, 9.0])
 
 
+def test_nothing_follows_a_message_with_empty_sequences() -> None:
+    """Strict readers of a recording refuse what the middleware estimates too much for empty velocity and effort."""
+    names = [*(f"joint_{k}" for k in range(1, 7)), "ext_rail"]
+    data = Template(JointState(name=names, position=[float(k) for k in range(7)]), [float(k) for k in range(7)])
+    stamp_and_empty_frame, six_names, rail, count_and_positions, two_empty = 4 + 8 + 4 + 4, 4 + 6 * 12, 16, 4 + 7 * 8, 8
+    expected = stamp_and_empty_frame + six_names + rail + count_and_positions + two_empty
+    assert len(data.serialized(ros_time(0.0), [0.0] * 7)) == expected == 180
+
+
 def test_a_template_refuses_numbers_that_it_does_not_find() -> None:
     with pytest.raises(TypeError, match="PointStamped"):
         Template(PointStamped(point=Point(x=1.0, y=2.0, z=3.0)), [3.0, 2.0, 1.0])

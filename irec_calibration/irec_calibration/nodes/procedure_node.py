@@ -23,7 +23,6 @@ from rclpy.exceptions import ParameterException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -41,6 +40,7 @@ from ..procedure.recorder import SessionRecorder
 from ..procedure.settings import read_settings
 from ..procedure.settle import Streams
 from ..session.data import Station
+from .cdr import exact_cdr
 from .instruments import Instruments
 from .robot_link import RobotLink
 from .startup import begin
@@ -253,7 +253,7 @@ class ProcedureNode(Node):
         message.temperature = array("d", [row.temperature[name] for name in sorted(row.temperature)])
         message.samples = len(window.p_marker_in_station)
         message.marker_std, message.force_std = window.marker_std, window.force_std
-        data = serialize_message(message)
+        data = exact_cdr(message)
         recorder.write_row(data, self.get_clock().now().nanoseconds)
         self._rows.publish(message)
 

@@ -10,7 +10,8 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
+
+from .cdr import exact_cdr
 
 SENSOR_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -59,7 +60,7 @@ class Template:
 
     def __init__(self, message: Any, numbers: Sequence[float]) -> None:
         """numbers: the float64 numbers that stand one after the other in this message and nowhere else in it."""
-        self._data = bytearray(serialize_message(message))
+        self._data = bytearray(exact_cdr(message))
         self._numbers = struct.Struct(f"<{len(numbers)}d")
         pattern = self._numbers.pack(*numbers)
         self._at = self._data.find(pattern)
