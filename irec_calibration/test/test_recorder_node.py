@@ -136,10 +136,10 @@ def test_a_recorder_without_topics_or_with_a_wrong_one_refuses_to_start(
 def test_nothing_follows_a_serialized_row_with_empty_sequences() -> None:
     from irec_msgs.msg import LoadCaseRecord
 
-    three, row = [0.0] * 3, LoadCaseRecord(joint_names=["joint_1"], joint_position=[0.0])
+    three, row = [0.0] * 3, LoadCaseRecord()
     row.header.frame_id = "base_link"
     other_encoder = record_message.encode(
-        stamp_ns=0, time=0.0, pose=0, load_case=0, repeat=0, joint_names=["joint_1"], joint_position=[0.0],
+        stamp_ns=0, time=0.0, pose=0, load_case=0, repeat=0, joint_names=[], joint_position=[],
         joint_target=[], p_tcp_in_base=three, p_marker_in_station=three, marker="", station="", wrench_in_tool=[0.0] * 6,
         temperature_names=[], temperature=[],
     )  # fmt: skip
