@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_correction.limits import OffsetLimiter, OffsetLimits
 from irec_correction.rsi.conversation import Conversation
-from irec_correction.rsi.holding import PATIENCE, RESTART
+from irec_correction.rsi.holding import REFUSED, RESTART, per_answer
 from irec_correction.state import State
 
 LIMITS = OffsetLimits()
@@ -30,7 +30,7 @@ class Source:
     state, reason = State.ACTIVE, ""
 
     def __init__(self) -> None:
-        self.target, self.limiter = FAR, OffsetLimiter(LIMITS, PERIOD)
+        self.target, self.limiter = FAR, OffsetLimiter(per_answer(LIMITS), PERIOD)
 
     def take(self, packet, now): ...
     def report(self, values): ...
@@ -73,6 +73,7 @@ class Link:
         self.acted = [np.zeros(3)]
         self.row = self.all = 0
         self.shown = [0]
+        self.answers = 0
         self.underway: bytes | None = None
         self.before: tuple[int, int | None] | None = None
         self.silent = False
@@ -99,6 +100,7 @@ class Link:
                 replies.append(self.hear(self.before))
             self.before = packet
         given = [r for r in replies if r is not None]
+        self.answers += len(given)
         in_time = False
         for late, reply in ((True, self.underway), *((False, r) for r in given)):
             if reply is None or (not late and what in ("lose_answer", "late_answer")):
@@ -223,23 +225,54 @@ def test_a_session_that_was_running_before_gets_no_answer_until_it_has_ended():
     np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
 
 
-@pytest.mark.parametrize(("counting", "said"), [
-    (Counting(sent=False), "DEF_Delay"), (Counting(counts=False), "cycle_ms"), (Counting(lag=4), ""),
-])  # fmt: skip
-def test_without_a_count_that_can_be_relied_on_nothing_is_answered_and_the_reason_said(counting, said):
-    link = Link(counting).run(PATIENCE + 3)
-    assert not np.any(link.acted)
-    assert said in link.talk.holding.problem
-    assert link.talk.holding.sessions == 0
+UNCOUNTED = [Counting(sent=False), Counting(counts=False)]
+
+
+@pytest.mark.parametrize("counting", [*COUNTINGS, *UNCOUNTED])
+def test_each_cycle_is_answered_from_the_first_on(counting):
+    link = Link(counting).run(300)
+    assert link.answers == 300 and link.talk.unanswered == 0
+
+
+@pytest.mark.parametrize("counting", UNCOUNTED)
+@pytest.mark.parametrize("fault", ["lose_sent", "late_answer", "lose_answer", "doubled", "old_again", "early"])
+def test_without_a_count_a_single_fault_makes_no_step_above_the_rate_limit(counting, fault):
+    link = Link(counting)
+    for _ in range(10):
+        link.run(25).run(1, fault)
+    link.run(300)
+    assert link.steps.max() <= STEP
+    np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
+
+
+@pytest.mark.parametrize("counting", UNCOUNTED)
+def test_without_a_count_a_long_gap_ends_the_answers_since_any_of_them_could_be_a_jump(counting):
+    link = Link(counting).run(200).run(30, "lose_sent")
+    held = link.held
+    link.run(60)
+    assert "DEF_Delay" in link.talk.holding.problem
+    assert np.all(link.held == held)
+
+
+def test_a_missing_count_is_said():
+    assert "DEF_Delay" in Link(Counting(sent=False)).run(5).talk.holding.problem
 
 
 def test_a_wrong_cycle_time_is_named():
     link = Link()
-    for _ in range(10):
+    for _ in range(REFUSED + 2):
         link.ipoc += 8
         link.cycle()
     assert "cycle_ms" in link.talk.holding.problem
     assert not np.any(link.acted)
+
+
+def test_a_cycle_time_that_is_too_long_is_named():
+    link = Link()
+    link.talk.holding._cycle_ms = 12
+    link.run(3 * REFUSED)
+    assert "cycle_ms" in link.talk.holding.problem
+    assert link.steps.max() <= STEP
 
 
 def test_answers_that_the_controller_never_takes_are_complained_of_until_it_does():

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The answers to a controller, packet by packet, without socket or clock.
 
-An answer is computed before its packet comes. It is one tick of the source, so one step of the limits, away from the one before
-it, and is sent only when the controller's packet says that it holds that one. Otherwise the controller gets what it holds once
-more, and the source goes on from there, from rest.
+An answer is computed before its packet comes. It is one tick of the source away from the one before it, and is sent only when
+the controller's packet does not speak against that. Otherwise the controller gets what it may hold once more, and the source
+goes on from there, from rest.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ class Conversation:
 
     def __init__(self, source: OffsetSource, sentype: str, cycle_ms: int) -> None:
         self._source, self._sentype = source, sentype
-        self._zero = Answer(np.zeros(3), np.zeros(3), encode_correction(np.zeros(3), np.zeros(3), sentype))
-        self.holding = Holding(self._zero, cycle_ms)
+        zero = Answer(np.zeros(3), np.zeros(3), encode_correction(np.zeros(3), np.zeros(3), sentype))
+        self.holding = Holding(zero, cycle_ms)
         self.repeated = self.unanswered = 0
         self._ready: Answer | None = None
         self._verdict = Verdict.SILENT
@@ -40,19 +40,15 @@ class Conversation:
         """Bytes to send now, if any; then call `settle`. Arguments as for `Holding.judge`."""
         holding = self.holding
         verdict = holding.judge(ipoc, delay, was_silent)
+        self._verdict = verdict
         if verdict is Verdict.SILENT:
-            self._verdict = verdict
             self.unanswered += 1
             return None
+        answer = holding.sent
         if verdict is Verdict.NEXT and self._ready is not None:
             answer, self._ready = self._ready, None
         elif verdict is Verdict.NEXT:  # it came before its answer was ready
-            answer, verdict = holding.sent, Verdict.STAND
-        elif verdict is Verdict.AGAIN:
-            answer = holding.sent
-        else:
-            answer = holding.held
-        self._verdict = verdict
+            self._verdict = Verdict.STAND
         holding.gave(ipoc, delay, answer)
         return answer.text + encode_ipoc(ipoc)
 

@@ -1,40 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the controller holds, told from its own packets, so that no answer is further from that than one step of the limits.
+"""What the controller may hold, told from its own packets, so that no answer is further from that than one step of the limits.
 
 A controller takes an answer only with the IPOC of the running cycle. Otherwise it keeps the correction that it has (HOLDON=1)
 and counts the cycle in `Delay`, which its packets carry; after `Timeout` such cycles in a row RSI stops. A packet that never came
-here shows as a gap in IPOC. So with `missed` cycles since the last answer, the count says whether that answer was taken.
+here shows as a gap in IPOC.
 
-`Delay` is described in public in few words, so nothing is taken for granted about it: the first packets of each session stay
-unanswered, and no offset is sent before the count has been seen to rise by them. That tells too whether it comes a cycle late
-(then each value is sent twice before the next one), and the first answer tells whether it counts late cycles in a row or in all.
-Where IPOC and Delay contradict each other nothing is answered: a controller without an answer never moves.
+`Delay` is described in public in few words, so it is taken to be up to one cycle behind: of the last two answers it is never
+known whether they were taken. That is why two answers in a row make no more than one step of the limits (`per_answer`), and why,
+when Delay rises or cycles are missing, the controller gets the middle one of what it may hold until two cycles went well.
+
+Every cycle is answered, but for two cases in which any answer could make the robot jump: RSI ran before this process did, or
+packets were missing for so long that RSI may have been stopped and started, and Delay does not say which.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from irec_calibration.typing import Array
 
+from ..limits import OffsetLimits
+
 RESTART = 150  # cycles; the controller, with its time-out of 100, has stopped RSI for sure. IPOC this far back: no late packet
-LATEST_COUNT = 1  # cycles by which Delay may lag behind
-PATIENCE = 6  # unanswered cycles in which Delay must rise
-REFUSED = 20  # answers in a row that were not taken, to say so
+LAG = 1  # cycles by which Delay may be behind
 SHORTEST_PAUSE = 10  # cycles between two sessions; no controller stops RSI and starts it again within that
 TOLERANCE = 1  # cycles
+REFUSED = 20  # cycles in a row that went wrong, to say so
 IPOC_WRAP = 1 << 32  # ms
 
 
 class Verdict(Enum):
     """What to do with a packet."""
 
-    NEXT = "the last answer was taken just now: go on from it"
-    AGAIN = "the last answer is not yet confirmed: send it again"
-    STAND = "cycles are missing: send what the controller holds, go on from rest"
+    NEXT = "go on from the answer before"
+    STAND = "cycles went wrong: send what the controller may hold, go on from rest"
     BEGIN = "a new session, which holds no correction"
-    SILENT = "it is not known what the controller holds, or the packet has been answered: no answer"
+    SILENT = "any answer could be a jump, or the packet has been answered: no answer"
 
 
 @dataclass(frozen=True)
@@ -46,27 +48,38 @@ class Answer:
     text: bytes
 
 
+def per_answer(limits: OffsetLimits) -> OffsetLimits:
+    """Limits for a source of answers: LAG + 1 answers in a row stay within one step of the limits given."""
+    share = 1.0 / (LAG + 1)
+    return replace(
+        limits,
+        translation=replace(limits.translation, rate=share * limits.translation.rate),
+        rotation=replace(limits.rotation, rate=share * limits.rotation.rate),
+    )
+
+
 class Holding:
-    """Judges each packet of the controller. `held`: what it holds for certain; `sent`: what it was sent last."""
+    """Judges each packet of the controller. `sent` is the last answer, `before` the one before it."""
 
     def __init__(self, zero: Answer, cycle_ms: int) -> None:
         self._zero, self._cycle_ms = zero, cycle_ms
-        self.held = self.sent = zero
+        self.sent = self.before = zero
         self.problem = ""
         self.lost = self.doubled = self.not_taken = self.sessions = 0
         self._newest: int | None = None  # IPOC
-        self._answered: tuple[int, int] | None = None  # IPOC and Delay of the packet answered last
-        self._proof: tuple[int, int] | None = None  # IPOC and Delay of the first one left unanswered on purpose
-        self._fresh = False  # the session that is being proven holds no correction
-        self._lag = 0
-        self._in_a_row: bool | None = None
-        self._clean = 0  # packets since `sent` was sent first
-        self._refused = 0  # answers in a row
+        self._delay: int | None = None  # of the newest packet
+        self._answered: tuple[int, int | None] | None = None  # IPOC and Delay of the packet answered last
+        self._in_a_row: bool | None = None  # how Delay counts: late cycles in a row, or in all
+        self._counts = False  # Delay has been seen to rise
+        self._doubt = False  # it is not known what the controller holds
+        self._standing = False
+        self._clean = self._wrong = 0  # packets in a row
+        self._even = self._uneven = 0  # packets on which IPOC went on by one cycle, and others
 
     @property
     def in_session(self) -> bool:
         """Packets are being answered."""
-        return self._proof is None and self._answered is not None
+        return self._answered is not None and not self._doubt
 
     def is_newer(self, stamp: tuple[int, int | None] | None, other: tuple[int, int | None] | None) -> bool:
         """Whether another packet (IPOC, Delay) is of a later cycle; counts it where it has come twice or too late."""
@@ -77,89 +90,142 @@ class Holding:
         return newer
 
     def judge(self, ipoc: int, delay: int | None, was_silent: bool) -> Verdict:
-        """Args: was_silent: no packet came for RESTART cycles before this one."""
-        if self._newest is not None:
-            steps = self._steps(self._newest, ipoc)
-            if -RESTART < steps <= 0:  # doubled, or overtaken by a newer one, on the way
-                self.doubled += 1
-                return Verdict.SILENT
-            self.lost += max(0, steps - 1) if steps < RESTART else 0
-        self._newest = ipoc
-        if delay is None:
-            self.problem = "packets carry no Delay: add DEF_Delay to SEND of the ethernet XML (irec rsi-config writes one)"
+        """What to do with a packet; `sent` is then what to answer, unless it is NEXT.
+
+        Args:
+            delay: None where the packet carries none.
+            was_silent: no packet came for RESTART cycles before this one.
+        """
+        steps = None if self._newest is None else self._steps(self._newest, ipoc)
+        if steps is not None and -RESTART < steps <= 0:  # doubled, or overtaken by a newer one, on the way
+            self.doubled += 1
+            self._pace(ipoc == self._newest)
+            self.problem = self._complaint()
             return Verdict.SILENT
-        if self._answered is not None:
-            verdict = self._judge_in_session(*self._answered, ipoc, delay)
-            if verdict is not None:
-                self._proof, self.problem = None, self._complaint()
-                return verdict
-        if self._proof is None or was_silent or self._steps(self._proof[0], ipoc) < 0:
-            self._fresh = self._answered is not None or was_silent or delay == 0
-            self._proof = ipoc, delay
-            return Verdict.SILENT
-        return self._prove(*self._proof, ipoc, delay)
+        rose = self._heard(ipoc, delay, steps)
+        if steps is None or was_silent or abs(steps) >= RESTART:
+            known = steps is not None and steps > 0 and self._answered is not None
+            if known and self._answered is not None and self._is_same_session(*self._answered, ipoc, delay):
+                return self._stand(False)  # its time-out is longer
+            return self._first(delay, was_silent or steps is not None)
+        self.lost += steps - 1
+        self._doubt = self._doubt or self._answered is None or steps > SHORTEST_PAUSE
+        if self._doubt:
+            return self._in_doubt(ipoc, delay)
+        return self._in_session(ipoc, delay, steps - 1, rose)
 
     def gave(self, ipoc: int, delay: int | None, answer: Answer) -> None:
         """Such an answer was sent to such a packet."""
-        self._answered = ipoc, delay or 0
+        self._answered = ipoc, delay
         if answer is not self.sent:
-            self.sent, self._clean = answer, 0
+            self.before, self.sent = self.sent, answer
 
-    def _judge_in_session(self, ipoc_then: int, delay_then: int, ipoc: int, delay: int) -> Verdict | None:
-        """None: this is not the session of the last answer."""
-        missed = self._steps(ipoc_then, ipoc) - 1
-        counted = delay if self._in_a_row else delay - delay_then
-        if missed < 0 or (missed >= SHORTEST_PAUSE and counted < missed - self._lag - TOLERANCE):
-            return None  # it has not been running through these cycles
-        if self._in_a_row is None:  # answers are zero until that is known
-            taken = missed == 0 and delay_then > 0 and delay in (0, delay_then)
-            self._in_a_row = delay == 0 if taken else None
-            self._refused = 0 if taken else self._refused + 1
-            return Verdict.STAND
-        taken = counted <= missed
-        self.not_taken += not taken
-        self._refused = 0 if taken else self._refused + 1
-        if missed == 0 and taken:
+    def _heard(self, ipoc: int, delay: int | None, steps: int | None) -> bool:
+        """Take a packet of a new cycle; whether Delay has risen since the one before. Learns how Delay counts."""
+        last, self._newest, self._delay = self._delay, ipoc, delay
+        if steps is None:
+            return False
+        self._pace(steps == 1)
+        if delay is None or last is None or steps < 0:
+            return False
+        if delay > last:
+            self._counts = True
+        elif steps == 1 and last > 0:
+            self._in_a_row = delay < last
+        return delay > last
+
+    def _pace(self, regular: bool) -> None:
+        """Watch whether IPOC goes on by one cycle from packet to packet."""
+        self._even = self._even + 1 if regular else 0
+        self._uneven = 0 if self._even >= REFUSED // 2 else self._uneven + (not regular)
+
+    def _first(self, delay: int | None, stood: bool) -> Verdict:
+        """The first packet of a session; `stood`: RSI was off before for sure."""
+        if not stood and delay:
+            self._doubt = True
+            self.problem = (
+                f"RSI was running before this process, {delay} packets late: the controller may hold a correction of an "
+                "earlier one, so it gets no answer until it has stopped; then start RSI again"
+            )
+            return Verdict.SILENT
+        return self._begin()
+
+    def _begin(self) -> Verdict:
+        self.sent = self.before = self._zero
+        self._doubt = self._standing = False
+        self._clean = self._wrong = 0
+        self.problem = self._complaint()
+        self.sessions += 1
+        return Verdict.BEGIN
+
+    def _in_doubt(self, ipoc: int, delay: int | None) -> Verdict:
+        """After a long gap: is this the session of the last answer?"""
+        same = None if self._answered is None else self._is_same_session(*self._answered, ipoc, delay)
+        if same is None:
+            if self._answered is not None:
+                self.problem = (
+                    f"packets of {SHORTEST_PAUSE} cycles or more did not come, and Delay does not tell whether RSI was started "
+                    "anew meanwhile: no answer until it has stopped. DEF_Delay belongs into SEND of the ethernet XML (irec "
+                    "rsi-config writes one)"
+                )
+            return Verdict.SILENT
+        if not same:
+            return self._begin()
+        self._doubt = False
+        return self._stand(False)
+
+    def _is_same_session(self, ipoc_then: int, delay_then: int | None, ipoc: int, delay: int | None) -> bool | None:
+        """Whether RSI has been running and counting since the last answer; None: can't be told."""
+        if delay is None or delay_then is None or not self._counts:
+            return None
+        least = self._steps(ipoc_then, ipoc) - 1 - LAG - TOLERANCE
+        in_a_row, in_all = delay >= least, delay - delay_then >= least
+        if self._in_a_row is None:
+            return in_a_row if in_a_row == in_all else None
+        return in_a_row if self._in_a_row else in_all
+
+    def _in_session(self, ipoc: int, delay: int | None, gap: int, rose: bool) -> Verdict:
+        if gap == 0 and not rose:
             self._clean += 1
-            if self._clean <= self._lag:
-                return Verdict.AGAIN
-            self.held = self.sent
+            self._wrong = 0
+            self.problem = self._complaint()
+            if self._standing and self._clean <= LAG:
+                return Verdict.STAND
+            self._standing = False
             return Verdict.NEXT
-        if taken and self._lag == 0:
-            self.held = self.sent
-        self._clean = 0
+        then = self._answered[1] if self._answered is not None else None
+        counted = 0 if delay is None or then is None else delay if self._in_a_row else delay - then
+        refused = counted > gap
+        self.not_taken += refused
+        return self._stand(refused)
+
+    def _stand(self, refused: bool) -> Verdict:
+        """Args: refused: the last answer was not taken, or the one before it."""
+        if refused and not self._standing:
+            self.sent = self.before
+        self._standing, self._clean = True, 0
+        self._wrong += 1
+        self.problem = self._complaint()
         return Verdict.STAND
 
-    def _prove(self, ipoc_first: int, delay_first: int, ipoc: int, delay: int) -> Verdict:
-        unanswered, counted = self._steps(ipoc_first, ipoc), delay - delay_first
-        lag = unanswered - counted
-        if counted >= 1 and 0 <= lag <= LATEST_COUNT:
-            if not self._fresh:
-                self.problem = (
-                    f"RSI was running before this process, {delay} packets late: the controller may hold a correction of an "
-                    "earlier one, so it gets no answer until it has stopped; then start RSI again"
-                )
-                return Verdict.SILENT
-            self._lag, self._proof, self._in_a_row, self.problem = lag, None, None, ""
-            self.held = self.sent = self._zero
-            self._clean = 0
-            self.sessions += 1
-            return Verdict.BEGIN
-        if unanswered > PATIENCE:
-            self.problem = (
-                f"Delay went from {delay_first} to {delay} over {unanswered} cycles of {self._cycle_ms} ms without an answer: it "
-                "can't be told what the controller holds. Check parameter cycle_ms (IPO_FAST: 4, IPO: 12) and DEF_Delay in "
-                "the ethernet XML"
-            )
-        return Verdict.SILENT
-
     def _complaint(self) -> str:
-        if self._refused < REFUSED:
-            return ""
-        return (
-            f"the controller has not taken the last {REFUSED} answers or more: they come too late (latency in /diagnostics), get "
-            "lost on the way back (firewall), or 'sentype' is not the SENTYPE of its ethernet XML"
-        )
+        if self._uneven >= REFUSED:
+            return (
+                f"IPOC does not go on by {self._cycle_ms} ms from packet to packet: check parameter cycle_ms (IPO_FAST: 4, "
+                "IPO: 12); until then the offset stands still"
+            )
+        if self._wrong >= REFUSED:
+            return (
+                f"the controller has not taken the last {REFUSED} answers or more: they come too late (latency in "
+                "/diagnostics), get lost on the way back (firewall), or 'sentype' is not the SENTYPE of its ethernet XML"
+            )
+        if self._answered is not None and self._answered[1] is None:
+            return (
+                "packets carry no Delay, so answers that are lost on the way to the controller are not seen, and after k of them "
+                "the next one may be (k + 1) / 2 steps of the rate limit away: add DEF_Delay to SEND of the ethernet XML (irec "
+                "rsi-config writes one)"
+            )
+        return ""
 
     def _steps(self, before: int, after: int) -> int:
         """Cycles from one IPOC to another."""

@@ -23,6 +23,7 @@ from ..spring_chain import build_chain
 from ..state import State, Supervisor
 from ..watchdog import Fault, Finding
 from .codec import RobotPacket
+from .holding import per_answer
 from .report import FAULTS, WHERE
 
 # offset block: time (CLOCK_MONOTONIC), wanted (0 or 1), translation(3), rotation vector(3)
@@ -93,7 +94,8 @@ class ChainSource:
         self._frame = settings.sensor_frame if settings.raw else "tool0"
         sensor = sensor_in_tool(robot, settings.sensor_frame) if settings.raw else None
         conditioner = Conditioner(make_filters(settings.filters), sensor, settings.load, settings.cable, settings.gravity)
-        self.chain = Correction(settings.correction, robot, conditioner)
+        correction = replace(settings.correction, limits=per_answer(settings.correction.limits))
+        self.chain = Correction(correction, robot, conditioner)
         self._robot, self._gravity, self._payload = robot, settings.gravity, settings.payload
         build_chain(robot)  # the first time takes longer than a cycle
         self._out: Output | None = None
@@ -171,7 +173,7 @@ class GivenSource:
         """Args: timeout: s without a new offset."""
         self._block, self._timeout = block, timeout
         self._supervisor = Supervisor(replace(settings.times, ramp_in=0.0))
-        self._limiter = OffsetLimiter(settings.limits, settings.period)
+        self._limiter = OffsetLimiter(per_answer(settings.limits), settings.period)
         self._period = settings.period
         self._values = np.zeros(OFFSET_SIZE)
         self._last: float | None = None
