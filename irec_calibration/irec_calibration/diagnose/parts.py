@@ -100,9 +100,8 @@ class _Sets:
                 chosen = self.columns(names, i)
                 if not names or not chosen:
                     continue
-                found = self.rest.bench.posterior(
-                    self.rest.base + block.take(chosen), FACTORS, slice(self.n_base, None)
-                )  # fmt: skip
+                both = self.rest.base + block.take(chosen)
+                found = self.rest.bench.posterior(both, FACTORS, slice(self.n_base, None))
                 gained = supported(found.log_evidence - self.alone.log_evidence, self.alone.chi2 - found.chi2)
                 score = self.alone.log_evidence + gained - log(comb(len(self.names), len(names)))
                 if not tried or score > best[0]:
