@@ -31,6 +31,26 @@ def prefer_thread(priority: int) -> str:
     return ""
 
 
+def prefer_processor(number: int) -> str:
+    """Keep the calling thread (and threads it starts from now on) on one processor, best one that the system leaves alone.
+
+    Args:
+        number: of the processor, from 0; below 0 leaves everything as it is.
+
+    Returns:
+        empty, or why not and what to do.
+    """
+    if number < 0:
+        return ""
+    if not hasattr(os, "sched_setaffinity"):
+        return "a processor of its own is not available on this system"
+    try:
+        os.sched_setaffinity(0, {number})
+    except (OSError, ValueError) as error:
+        return f"processor {number} can't be used ({error}); this process may use {sorted(os.sched_getaffinity(0))}"
+    return ""
+
+
 def settle_memory() -> list[str]:
     """Lock memory, freeze what the garbage collector knows, wake timers punctually. Returns what was not permitted."""
     refused = []

@@ -36,6 +36,9 @@ Q = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3])
 WRENCH = np.array([150.0, -80.0, -900.0, 5.0, 3.0, -1.0])
 PERIOD = 0.004
 CYCLES_TO_JUDGE_LATE = 100_000  # with fewer the count is chance
+WARM_UP = 200  # cycles before the count begins; the first packets of a session are not answered
+SWAP = 500  # cycles after which the other one is asked first
+APART = 0.4  # of a period between the two
 TARGET_DEFLECTION_US, TARGET_FASTER, TARGET_TICK_US, TARGET_REPLY = 60.0, 3.0, 150.0, 1.5
 
 
@@ -145,32 +148,112 @@ def echo(pipe: object, priority: int) -> None:
         s.sendto(data, who)
 
 
-def rsi(pipe: object, priority: int, wrench_block: str, period: float) -> None:
+def rsi(pipe: object, priority: int, wrench_block: str, latency_block: str, period: float) -> None:
     """The loop with the whole chain in its process."""
     from irec_correction.rsi.loop import Link, RsiLoop
+    from irec_correction.rsi.report import KEPT
     from irec_correction.rsi.sources import ChainSettings, ChainSource
+    from irec_correction.shared import SharedValues
 
     prefer_thread(priority)
     source = ChainSource(
         ChainSettings(CorrectionSettings(period=period), FilterSettings(rate=1.0 / period), URDF.read_text(), wrench_block)
     )
     source.put_in_force(model_18(), time.monotonic())
-    loop = RsiLoop(Link(port=0), source, cycle_ms=round(1000 * period))
+    latency = SharedValues.attach(latency_block, KEPT)
+    loop = RsiLoop(Link(port=0), source, latency=latency, cycle_ms=round(1000 * period))
     settle_memory()
     pipe.send(loop.port)  # type: ignore[attr-defined]
     source.start(time.monotonic())
     loop.run(lambda: not pipe.poll(0))  # type: ignore[attr-defined]
 
 
+def scheduling(pid: int) -> dict[str, float]:
+    """What the system did to a process so far: time on a processor and waiting for one (s), switches, page faults."""
+    run, wait, _ = (int(v) for v in Path(f"/proc/{pid}/schedstat").read_text().split())
+    status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
+    stat = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return {
+        "on_cpu_s": run * 1e-9, "waiting_for_cpu_s": wait * 1e-9, "preempted": int(status["nonvoluntary_ctxt_switches"]),
+        "page_faults": int(stat[7]) + int(stat[9]),
+    }  # fmt: skip
+
+
+def stolen() -> float:
+    """Time that the machine under this one took away so far, s, all processors."""
+    return int(Path("/proc/stat").read_text().splitlines()[0].split()[8]) / os.sysconf("SC_CLK_TCK")
+
+
+def late_counts(ours: int, theirs: int) -> dict:
+    """Late replies with their 95 % Poisson intervals, and how probable at least that many of the sum are if both are equal."""
+    from scipy.stats import binomtest, chi2
+
+    def interval(n: int) -> list[float]:
+        return [round(chi2.ppf(0.025, 2 * n) / 2 if n else 0.0, 2), round(chi2.ppf(0.975, 2 * n + 2) / 2, 2)]
+
+    p = binomtest(ours, ours + theirs, 0.5, "greater").pvalue if ours + theirs else 1.0
+    return {"late": ours, "late_95": interval(ours), "echo_late": theirs, "echo_late_95": interval(theirs),
+            "p_if_equal": round(float(p), 3)}  # fmt: skip
+
+
+class Line:
+    """One controller that asks both in every cycle, as far apart that neither is at work while the other one is asked."""
+
+    def __init__(self, ports: list[int], block: object, period: float) -> None:
+        from irec_sim.devices.rsi_controller import RobotState, RsiController
+
+        self._ports, self._block, self._period = ports, block, period
+        self._controller = RsiController(("127.0.0.1", ports[0]), period=period, timeout=10**9)
+        self._state = RobotState(Q, np.array([1.5, 0.0, 1.2]), np.zeros(3))
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.settimeout(0.1)
+        self._noise = np.random.default_rng(0).normal(0.0, 0.5, (256, 6))
+        self.spent: tuple[list[float], list[float]] = ([], [])
+        self._due = time.perf_counter()
+
+    def cycle(self, i: int) -> None:
+        """Cycle i; which one comes first changes every SWAP cycles."""
+        c = self._controller
+        self._block.write(np.array([time.monotonic(), i, 0.0, *(WRENCH + self._noise[i % 256])]))  # type: ignore[attr-defined]
+        c.ipoc += round(1000 * self._period)
+        packet = c.packet(self._state)
+        for turn, which in enumerate((0, 1) if i // SWAP % 2 else (1, 0)):
+            time.sleep(max(0.0, self._due + turn * APART * self._period - time.perf_counter()))
+            spent = self._ask(packet, self._ports[which])
+            self.spent[which].append(spent)
+            if which == 0:
+                c.count(spent <= self._period)
+        self._due = max(self._due + self._period, time.perf_counter() - self._period)
+
+    def _ask(self, packet: bytes, port: int) -> float:
+        """Time to the answer, s."""
+        began = time.perf_counter()
+        self._socket.sendto(packet, ("127.0.0.1", port))
+        while True:
+            try:
+                _, who = self._socket.recvfrom(4096)
+            except TimeoutError:
+                return time.perf_counter() - began
+            if who[1] == port:
+                return time.perf_counter() - began
+
+    def end(self) -> None:
+        """A last packet to each, so that they look whether they should end."""
+        self._socket.sendto(self._controller.packet(self._state), ("127.0.0.1", self._ports[0]))
+        self._socket.sendto(b"", ("127.0.0.1", self._ports[1]))
+        self._socket.close()
+        self._controller.close()
+
+
 def bench_rsi(cycles: int, priority: int, period: float) -> dict:
-    """Both answer in every cycle, one after the other, in turns first."""
+    """Both answer in every cycle. `inside`: late ones for which the loop itself, from packet to answer, took half a period."""
+    from irec_correction.rsi.report import KEPT
     from irec_correction.shared import WRENCH_SIZE, SharedValues
-    from irec_sim.devices.rsi_controller import RobotState, RsiController
 
     context = multiprocessing.get_context("spawn")
-    block = SharedValues.create(WRENCH_SIZE)
+    block, latency = SharedValues.create(WRENCH_SIZE), SharedValues.create(KEPT)
     processes, ports, pipes = [], [], []
-    for target, extra in ((rsi, (block.name, period)), (echo, ())):
+    for target, extra in ((rsi, (block.name, latency.name, period)), (echo, ())):
         ours, theirs = context.Pipe()
         process = context.Process(target=target, args=(theirs, priority, *extra), daemon=True)
         process.start()
@@ -178,41 +261,37 @@ def bench_rsi(cycles: int, priority: int, period: float) -> dict:
         processes.append(process)
         pipes.append(ours)
     prefer_thread(priority)
-    controller = RsiController(("127.0.0.1", ports[0]), period=period, timeout=10**9)
-    state = RobotState(Q, np.array([1.5, 0.0, 1.2]), np.zeros(3))
-    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    line.settimeout(0.1)
-    noise = np.random.default_rng(0).normal(0.0, 0.5, (256, 6))
-    latency: tuple[list[float], list[float]] = ([], [])
-    late = [0, 0]
-    due = time.perf_counter()
+    settle_memory()
+    line = Line(ports, block, period)
+    for i in range(WARM_UP):
+        line.cycle(i)
+    for spent in line.spent:
+        spent.clear()
+    before, stolen_before = [scheduling(p.pid) for p in processes], stolen()  # type: ignore[arg-type]
+    inside = 0
     for i in range(cycles):
-        block.write(np.array([time.monotonic(), i, 0.0, *(WRENCH + noise[i % 256])]))
-        controller.ipoc += round(1000 * period)
-        packet = controller.packet(state)
-        for which in (0, 1) if i % 2 else (1, 0):
-            began = time.perf_counter()
-            line.sendto(packet, ("127.0.0.1", ports[which]))
-            try:
-                line.recvfrom(4096)
-            except TimeoutError:
-                pass
-            spent = time.perf_counter() - began
-            latency[which].append(spent)
-            late[which] += spent > period
-        due = max(due + period, time.perf_counter() - period)
-        time.sleep(max(0.0, due - time.perf_counter()))
+        line.cycle(WARM_UP + i)
+        if line.spent[0][-1] > period:  # of the cycles since the last such one, none but this one can have been that long
+            inside += bool(latency.numbers.max() > 0.5 * period)
+            latency.numbers[:] = 0.0
+    own = latency.numbers[latency.numbers > 0.0]
+    after = [scheduling(p.pid) for p in processes]  # type: ignore[arg-type]
     pipes[0].send(None)
-    line.sendto(controller.packet(state), ("127.0.0.1", ports[0]))
-    line.sendto(b"", ("127.0.0.1", ports[1]))
+    line.end()
     for process in processes:
         process.join(2.0)
         if process.is_alive():
             process.kill()
     block.close()
-    ours_, theirs_ = spread(latency[0]), spread(latency[1])
-    return {"cycles": cycles, "reply_us": ours_, "echo_us": theirs_, "p99_ratio": round(ours_["p99"] / theirs_["p99"], 2),
-            "late": late[0], "echo_late": late[1]}  # fmt: skip
+    latency.close()
+    reply, plain = (spread(s) for s in line.spent)
+    late = [sum(t > period for t in s) for s in line.spent]
+    both = sum(a > period and b > period for a, b in zip(*line.spent))
+    system = {name: {k: round(z[k] - a[k], 3) for k in a} for name, a, z in zip(("reply", "echo"), before, after)}
+    return {"cycles": cycles, "reply_us": reply, "echo_us": plain, "p99_ratio": round(reply["p99"] / plain["p99"], 2),
+            **late_counts(*late), "late_in_one_cycle": both, "late_inside_the_loop": inside,
+            "packet_to_answer_us": spread(own) if len(own) else {}, "system": system,
+            "stolen_s": round(stolen() - stolen_before, 2)}  # fmt: skip
 
 
 # --- offset topic --------------------------------------------------------------------------------------------------------

@@ -47,6 +47,7 @@ OWN = (
     ("wrench_block", "", "chain: shared memory that can_ft_node writes; empty: the topic wrench or wrench_raw"),
     ("offset_timeout", 0.05, "offset_topic: s without an offset"),
     ("realtime_priority", 0, "SCHED_FIFO priority of the loop, 0: none"),
+    ("realtime_processor", -1, "processor that the loop stays on (isolcpus=), from 0; -1: any"),
 )
 
 
@@ -117,6 +118,7 @@ class RsiNode(Node):
                 float(p["offset_timeout"]),
                 int(p["cycle_ms"]),
                 int(p["realtime_priority"]),
+                int(p["realtime_processor"]),
             )  # fmt: skip
         )
         kind, content = self._pipe.recv()

@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from irec_calibration.errors import IrecError
 
 from ..correction import CorrectionSettings
-from ..realtime import prefer_thread, settle_memory
+from ..realtime import prefer_processor, prefer_thread, settle_memory
 from ..shared import SharedValues
 from ..state import State
 from .loop import Link, RsiLoop
@@ -33,7 +33,7 @@ class BridgeSetup:
 
     Attributes:
         chain: run the whole chain here; None: follow `offset_block`, stale after `offset_timeout` s.
-        priority: SCHED_FIFO, 0: none.
+        priority: SCHED_FIFO, 0: none. processor: that the loop stays on, below 0: any.
     """
 
     link: Link
@@ -45,6 +45,7 @@ class BridgeSetup:
     offset_timeout: float = 0.05
     cycle_ms: int = 4
     priority: int = 0
+    processor: int = -1
 
 
 class Bridge:
@@ -132,7 +133,7 @@ def run_bridge(pipe: Connection) -> int:
         return 2
     if setup is None:
         return 2
-    refused = [prefer_thread(setup.priority)]
+    refused = [prefer_thread(setup.priority), prefer_processor(setup.processor)]
     try:
         bridge = Bridge(setup, pipe)
     except IrecError as error:

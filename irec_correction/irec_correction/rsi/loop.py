@@ -104,7 +104,7 @@ class RsiLoop:
         """
         self.link, self.source = link, source
         self.counts = LoopCounts() if latency is None else LoopCounts(latency=latency.numbers)
-        self._report, self._cycle_ms = report, cycle_ms
+        self._report, self._cycle = report, 1e-3 * cycle_ms
         self._values = np.zeros(REPORT_SIZE)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -136,7 +136,7 @@ class RsiLoop:
         began = time.perf_counter()
         now = time.monotonic()
         # in time there can be no other one behind it; at the beginning the first one that came is needed, its Delay is 0
-        if now > self._due + LATE * 1e-3 * self._cycle_ms and self.talk.holding.in_session:
+        if now > self._due + LATE * self._cycle and self.talk.holding.in_session:
             packet, sender = self._newest(packet, sender)
         if sender[0] != self.link.peer:
             self.counts.foreign += 1
@@ -145,21 +145,21 @@ class RsiLoop:
         if stamp is None:
             self.counts.bad += 1
             return False
-        reply = self.talk.reply(*stamp, now - self._last_packet > RESTART * 1e-3 * self._cycle_ms)
+        reply = self.talk.reply(*stamp, now - self._last_packet > RESTART * self._cycle)
         if reply is not None:
             self._socket.sendto(reply, sender)
             c = self.counts
             c.latency[c.answered % KEPT] = time.perf_counter() - began
             c.answered += 1
         self._last_packet = now = time.monotonic()
-        self._due = now + 1e-3 * self._cycle_ms
+        self._due = now + self._cycle
         self.talk.settle(now)
         self._learn(packet, now)
         return reply is not None
 
     def _get_ready(self) -> None:
         """Wait until shortly before the next packet, then compute."""
-        wait = self._due - AHEAD * 1e-3 * self._cycle_ms - time.monotonic()
+        wait = self._due - AHEAD * self._cycle - time.monotonic()
         if not select.select([self._socket], [], [], max(0.0, wait))[0]:
             self.talk.tick(time.monotonic())
 
