@@ -9,6 +9,7 @@ RUN := . tools/env.sh &&
 PACKAGES := irec_calibration irec_correction irec_sim
 INTERFACES := $(wildcard irec_msgs/msg/*.msg irec_msgs/srv/*.srv irec_msgs/action/*.action) irec_msgs/CMakeLists.txt irec_msgs/package.xml
 SETUPS := $(foreach p,$(PACKAGES),$(wildcard $(p)/setup.py $(p)/setup.cfg $(p)/package.xml $(p)/launch/*.launch.py))
+CONFIG := $(wildcard config/*/) # a folder changes when a file is added; what is in the files is linked
 LAUNCH := $(foreach p,$(PACKAGES),$(wildcard $(p)/launch/*.launch.py))
 
 .PHONY: help build demo demo-hidden test lint bench bench-peers hidden clean
@@ -22,7 +23,7 @@ $(STAMPS)/environment: tools/setup_env.sh tools/requirements-ros.txt tools/requi
 	@bash tools/setup_env.sh .venv
 	@mkdir -p $(STAMPS) && touch $@
 
-$(STAMPS)/workspace: $(STAMPS)/environment tools/build.sh $(INTERFACES) $(SETUPS)
+$(STAMPS)/workspace: $(STAMPS)/environment tools/build.sh $(INTERFACES) $(SETUPS) $(CONFIG)
 	@bash tools/build.sh
 	@touch $@
 

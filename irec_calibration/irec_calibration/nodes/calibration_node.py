@@ -49,7 +49,7 @@ class CalibrationNode(Node):
             raise CellError("parameter 'cell' is empty; name a cell file, e.g. -p cell:=config/cells/afp.yaml")
         self.cell = read_cell(path)
         self.acceptance = read_acceptance(self.cell)
-        self.folder = Path(self._text("calibration_folder", "calibrations", "folder for models and their register"))
+        self.folder = Path(self._text("calibration_folder", "calibrations", "folder for models and their register")).absolute()
         self.register = Register(self.folder)
         self._busy = threading.Lock()
         self._last_session = ""
@@ -149,7 +149,7 @@ class CalibrationNode(Node):
 
     def _put_in_force(self, path: Path, session_path: str, who: str, response: Recalibrate.Response) -> None:
         if not self._activate.wait_for_service(timeout_sec=ANSWER_WAIT):
-            response.verdict += " It was not put in force: correction_node does not answer."
+            response.verdict += " It was not put in force: correction_node does not answer; start and configure it."
             return
         answer = _wait(self._activate.call_async(ActivateModel.Request(model_path=str(path))), ANSWER_WAIT)
         if answer is None or not answer.success:

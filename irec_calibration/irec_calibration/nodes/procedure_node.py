@@ -64,7 +64,7 @@ class ProcedureNode(Node):
             raise CellError("parameter 'cell' is empty; name a cell file, e.g. -p cell:=config/cells/afp.yaml")
         self.cell = read_cell(path)
         self.settings = read_settings(self.cell)
-        self.session_folder = Path(self._text("session_folder", "sessions", "folder for recordings"))
+        self.session_folder = Path(self._text("session_folder", "sessions", "folder for recordings")).absolute()
         self._link = RobotLink(self, self.cell.robot.joint_names)
         self._instruments = Instruments(self, Streams(5.0 + self.settings.window_s), self._on_robot_state)
         self._robot_state: RobotState | None = None
