@@ -135,6 +135,7 @@ class Link:
 
 
 COUNTINGS = [Counting(in_all, lag, late) for in_all in (False, True) for lag in (0, 1) for late in (False, True)]
+UNCOUNTED = [Counting(sent=False), Counting(counts=False)]
 FAULTS = ["lose_sent", "lose_answer", "late_answer", "doubled", "old_again", "early"]
 
 
@@ -195,13 +196,32 @@ def test_a_new_session_begins_at_zero(counting, pause):
     np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
 
 
+@pytest.mark.parametrize("counting", [*COUNTINGS, *UNCOUNTED])
+def test_a_pause_of_the_line_in_which_ipoc_goes_on_by_one_cycle_is_no_new_session(counting):
+    link = Link(counting).run(200)
+    link.silent = True
+    link.run(50)
+    assert link.steps.max() <= STEP
+    assert link.talk.holding.sessions == 1
+
+
 def test_a_controller_that_was_switched_off_begins_at_zero():
     link = Link().run(200)
-    link.ipoc, link.all = 4_000, 0
+    link.ipoc, link.all, link.silent = 4_000, 0, True
     link.stop_and_start(0)
     link.run(300)
     assert link.steps.max() <= STEP
     assert link.talk.holding.sessions == 2
+
+
+def test_a_packet_that_was_held_up_for_long_is_no_new_session():
+    link = Link().run(200)
+    old = link.before
+    link.run(100, "lose_sent").run(100, "lose_sent").run(50)
+    assert link.hear(old) is None
+    link.run(50)
+    assert link.steps.max() <= STEP
+    assert link.talk.holding.sessions == 1
 
 
 def test_ipoc_that_comes_to_its_end_is_no_new_session():
@@ -223,9 +243,6 @@ def test_a_session_that_was_running_before_gets_no_answer_until_it_has_ended():
     link.run(200)
     assert link.steps.max() <= STEP and link.talk.holding.problem == ""
     np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
-
-
-UNCOUNTED = [Counting(sent=False), Counting(counts=False)]
 
 
 @pytest.mark.parametrize("counting", [*COUNTINGS, *UNCOUNTED])

@@ -97,16 +97,22 @@ class Holding:
             was_silent: no packet came for RESTART cycles before this one.
         """
         steps = None if self._newest is None else self._steps(self._newest, ipoc)
-        if steps is not None and -RESTART < steps <= 0:  # doubled, or overtaken by a newer one, on the way
+        # doubled, or overtaken by a newer one, on the way; a controller that begins anew with lower ones was silent before
+        if steps is not None and steps <= 0 and (steps > -RESTART or not was_silent):
             self.doubled += 1
             self._pace(ipoc == self._newest)
             self.problem = self._complaint()
             return Verdict.SILENT
         rose = self._heard(ipoc, delay, steps)
-        if steps is None or was_silent or abs(steps) >= RESTART:
-            known = steps is not None and steps > 0 and self._answered is not None
-            if known and self._answered is not None and self._is_same_session(*self._answered, ipoc, delay):
-                return self._stand(False)  # its time-out is longer
+        # IPOC is the controller's time: where it goes on cycle by cycle RSI has not been started anew, however long that took
+        if steps is None or abs(steps) >= RESTART or (was_silent and steps > SHORTEST_PAUSE):
+            if steps is not None and steps > 0 and self._answered is not None:
+                same = self._is_same_session(*self._answered, ipoc, delay)
+                if same:
+                    return self._stand(False)  # its time-out is longer
+                if same is None and self._counts and delay:
+                    self._doubt = True
+                    return self._in_doubt(ipoc, delay)
             return self._first(delay, was_silent or steps is not None)
         self.lost += steps - 1
         self._doubt = self._doubt or self._answered is None or steps > SHORTEST_PAUSE
