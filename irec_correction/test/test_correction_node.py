@@ -123,7 +123,8 @@ def test_activated_node_streams_minus_the_deflection_and_fades_out_when_the_sens
     cell_side.until(lambda: cell_side.states and cell_side.states[-1].state == 2, what="ACTIVE")
     assert cell_side.states[-1].model_sha256 == answer.sha256
     expected, _ = Deflection(model(), read_cell(CELL).robot)(Q, WRENCH[:3], WRENCH[3:], 0.004)
-    assert np.linalg.norm(cell_side.offsets[-1] + expected) < 5e-6
+    # a busy machine skips ticks, and each one moves by one step of the rate limit at most
+    cell_side.until(lambda: np.linalg.norm(cell_side.offsets[-1] + expected) < 5e-6, what="offset of the model")
     cell_side.publishing = False
     cell_side.until(lambda: cell_side.states[-1].state == 5, what="FAULT")
     assert "no wrench" in cell_side.states[-1].reason
