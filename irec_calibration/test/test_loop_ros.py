@@ -33,7 +33,7 @@ from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 
 from irec_msgs.action import RunProcedure
-from irec_msgs.msg import RobotState
+from irec_msgs.msg import CorrectionState, RobotState
 from irec_msgs.srv import Recalibrate, SolveCompliances
 
 if TYPE_CHECKING:
@@ -249,3 +249,14 @@ def test_ros_arguments_that_cannot_be_read_are_a_line_and_no_trace(ros_domain: i
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     assert "/nowhere/params.yaml" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_nothing_is_measured_while_a_correction_is_at_work(operator: Operator, poses: Path) -> None:
+    correction = operator.node.create_publisher(CorrectionState, "irec/correction/state", 10)
+    operator.node.create_timer(0.1, lambda: correction.publish(CorrectionState(state=CorrectionState.ACTIVE)))
+    operator.until(lambda: correction.get_subscription_count() > 0)
+    p_before = operator.p_tcp
+    end = operator.end(operator.start(poses_path=str(poses)))
+    assert end.status == ABORTED
+    assert "correction is at work" in end.result.message and "deactivate" in end.result.message
+    np.testing.assert_allclose(operator.p_tcp, p_before, atol=1e-4)

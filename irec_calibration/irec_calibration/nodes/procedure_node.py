@@ -41,6 +41,7 @@ from ..procedure.settings import read_settings
 from ..procedure.settle import Streams
 from ..session.data import Station
 from .cdr import exact_cdr
+from .correction_watch import CorrectionWatch
 from .instruments import Instruments
 from .robot_link import RobotLink
 from .startup import begin
@@ -68,6 +69,7 @@ class ProcedureNode(Node):
         self._link = RobotLink(self, self.cell.robot.joint_names)
         self._instruments = Instruments(self, Streams(5.0 + self.settings.window_s), self._on_robot_state)
         self._robot_state: RobotState | None = None
+        self._correction = CorrectionWatch(self)
         self._status = self.create_publisher(ProcedureStatus, "irec/procedure/status", LATCHED)
         self._rows = self.create_publisher(LoadCaseRecord, "irec/procedure/load_case", EVENTS)
         self._events = self.create_publisher(String, "irec/procedure/event", EVENTS)
@@ -194,6 +196,8 @@ class ProcedureNode(Node):
             return
         if self._goal is not None and self._goal.is_cancel_requested:
             procedure.stop("cancelled by the operator")
+        elif corrected := self._correction.problem(self._robot_state):
+            procedure.stop(corrected)
         for command in procedure.step(now, time.monotonic()):
             if isinstance(command, Row):
                 self._record(command)
@@ -216,6 +220,9 @@ class ProcedureNode(Node):
         for stream, topic in silent.items():
             if stream not in self._instruments.streams.newest():
                 missing += f"{', ' if missing else ''}readings on {topic}"
+        if corrected := self._correction.problem(self._robot_state):
+            procedure.stop(corrected)
+            return True
         if not missing:
             self._session_start = self.get_clock().now().nanoseconds * 1e-9
             procedure.start()
@@ -279,7 +286,8 @@ class ProcedureNode(Node):
         if procedure is not None:
             status.state = procedure.state
             status.pose, status.poses = procedure.place, procedure.total
-            status.load_case, status.load_cases = procedure.case, len(procedure.forces)
+            status.load_cases = len(procedure.forces)
+            status.load_case = min(procedure.case, status.load_cases)
             status.rejected = procedure.counts.rejected
             status.paused = procedure.state == "paused"
             status.remaining = _duration(procedure.remaining_s(self.get_clock().now().nanoseconds * 1e-9))

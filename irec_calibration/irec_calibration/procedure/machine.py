@@ -257,7 +257,8 @@ class Procedure:
 
     def _event(self, kind: str, text: str) -> None:
         target = self.target
-        self._out.append(Event(kind, target.pose if target else 0, self.repeat, self.case, text))
+        case = min(self.case, len(self.forces))  # past the last one the pose is complete
+        self._out.append(Event(kind, target.pose if target else 0, self.repeat, case, text))
 
     def _cancel_move(self) -> None:
         if self._moving:
