@@ -230,6 +230,7 @@ def test_a_paused_run_leaves_the_contact_and_ends_complete(operator: Operator, p
         ("procedure_node", {}, "parameter 'cell' is empty"),
         ("procedure_node", {"cell": "/nowhere/cell.yaml"}, "can't read the cell file"),
         ("calibration_node", {"cell": "/nowhere/cell.yaml"}, "can't read the cell file"),
+        ("procedure_node", {"cell": CELL, "session_foldr": "x"}, "no such parameter (but session_folder): ['session_foldr']"),
         ("calibration_node", {"cell": "5"}, "'cell' to '5' of type 'INTEGER'"),
     ],
 )

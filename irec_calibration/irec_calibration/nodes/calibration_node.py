@@ -34,7 +34,7 @@ from ..provenance import model_of
 from ..recalibration import Register, judge
 from ..session import read_session
 from .analyses import READERS, arguments_of, diagnosed, run_command
-from .startup import begin
+from .startup import begin, refuse_unknown_parameters
 
 ANSWER_WAIT = 10.0  # s for another node to answer
 
@@ -50,6 +50,7 @@ class CalibrationNode(Node):
         self.cell = read_cell(path)
         self.acceptance = read_acceptance(self.cell)
         self.folder = Path(self._text("calibration_folder", "calibrations", "folder for models and their register")).absolute()
+        refuse_unknown_parameters(self)
         self.register = Register(self.folder)
         self._busy = threading.Lock()
         self._last_session = ""

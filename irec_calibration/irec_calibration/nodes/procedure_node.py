@@ -44,7 +44,7 @@ from .cdr import exact_cdr
 from .correction_watch import CorrectionWatch
 from .instruments import Instruments
 from .robot_link import RobotLink
-from .startup import begin
+from .startup import begin, refuse_unknown_parameters
 
 STEP_PERIOD = 0.01  # s of the machine's clock between looks at the readings
 STATUS_PERIOD = 0.5  # s of the machine's clock
@@ -66,6 +66,7 @@ class ProcedureNode(Node):
         self.cell = read_cell(path)
         self.settings = read_settings(self.cell)
         self.session_folder = Path(self._text("session_folder", "sessions", "folder for recordings")).absolute()
+        refuse_unknown_parameters(self)
         self._link = RobotLink(self, self.cell.robot.joint_names)
         self._instruments = Instruments(self, Streams(5.0 + self.settings.window_s), self._on_robot_state)
         self._robot_state: RobotState | None = None

@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 from .. import __version__
 from ..errors import RecordingError
 from ..recording import BagWriter, Qos
-from .startup import begin
+from .startup import begin, refuse_unknown_parameters
 
 DISCOVERY_PERIOD = 0.2  # s of the machine's clock, between looks for topics that are not there yet
 STOP_TIME = 2.0  # s that a stop may wait for messages that have arrived already
@@ -60,7 +60,9 @@ class RecorderNode(Node):
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_timer(DISCOVERY_PERIOD, self._look_for_topics, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        if self.declare_parameter("autostart", True, ParameterDescriptor(description="record from the start")).value:
+        autostart = self.declare_parameter("autostart", True, ParameterDescriptor(description="record from the start")).value
+        refuse_unknown_parameters(self)
+        if autostart:
             self.start()
 
     def start(self) -> Path:

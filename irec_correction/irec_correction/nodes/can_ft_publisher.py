@@ -16,7 +16,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
-from irec_calibration.nodes.startup import begin
+from irec_calibration.nodes.startup import begin, refuse_unknown_parameters
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -57,6 +57,7 @@ class CanFtNode(Node):
         super().__init__("can_ft_node")
         for name, default, text in PARAMETERS:
             self.declare_parameter(name, default, ParameterDescriptor(description=text))
+        refuse_unknown_parameters(self)
         self._pipe = pipe
         self._frame, self._short = str(self._get("frame_id")), bool(self._get("short_answers"))
         self._begin()

@@ -14,7 +14,7 @@ from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
 from irec_calibration.model_file import file_sha256, load_model
-from irec_calibration.nodes.startup import begin
+from irec_calibration.nodes.startup import begin, refuse_unknown_parameters
 from irec_calibration.robot import Payload, Robot
 from irec_calibration.tool_load import ToolLoad
 from rclpy.executors import ExternalShutdownException
@@ -56,6 +56,7 @@ class CorrectionNode(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("correction_node")
         parameters.declare(self)
+        refuse_unknown_parameters(self)
         self._p = parameters.Values(self)
         self._correction: Correction | None = None
         self._robot: Robot | None = None

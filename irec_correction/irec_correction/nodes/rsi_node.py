@@ -16,7 +16,7 @@ from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
 from irec_calibration.model_file import file_sha256, load_model
-from irec_calibration.nodes.startup import begin
+from irec_calibration.nodes.startup import begin, refuse_unknown_parameters
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -59,6 +59,7 @@ class RsiNode(Node):
         parameters.declare(self)
         for name, default, text in OWN:
             self.declare_parameter(name, default, ParameterDescriptor(description=text))
+        refuse_unknown_parameters(self)
         self._p = p = parameters.Values(self)
         self._pipe = pipe
         if not p["cell"]:
