@@ -129,6 +129,7 @@ README = """RSI link of irec
    its outputs 1 to 6 into POSCORR with RefCorrSys ROBROOT and limits of {mm} mm and {deg} degrees, watched by POSCORRMON.
 3. On the PC: rsi_bridge with address {address}, port {port}, sentype {sentype}, cycle_ms {cycle_ms},
    peer = address of the controller. Its own limits (limit.translation, limit.rotation) must be below those of POSCORR, or
-   RSI stops the robot at the first large offset.
+   RSI stops the robot at the first large offset. Start it before the KRL program reaches RSI_ON: a controller that has been
+   without answers may hold a correction that nobody here knows, so it gets none until RSI has been started anew.
 4. First without force and at reduced speed (T1). This is not a safety function: the limits of the controller stay in charge.
 """
