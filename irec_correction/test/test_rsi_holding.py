@@ -224,6 +224,17 @@ def test_a_packet_that_was_held_up_for_long_is_no_new_session():
     assert link.talk.holding.sessions == 1
 
 
+@pytest.mark.parametrize("counting", [*COUNTINGS, *UNCOUNTED])
+@pytest.mark.parametrize("back", [60, 10_000])
+def test_a_controller_whose_clock_begins_anew_without_a_pause_begins_at_zero(counting, back):
+    link = Link(counting).run(100)
+    link.stop_and_start(-back)
+    link.run(300)
+    assert link.steps.max() <= STEP
+    assert link.talk.holding.sessions == 2
+    np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
+
+
 def test_ipoc_that_comes_to_its_end_is_no_new_session():
     link = Link(ipoc=(1 << 32) - 4 * 50).run(50)
     link.ipoc -= 1 << 32

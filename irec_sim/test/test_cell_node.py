@@ -261,6 +261,7 @@ def test_the_course_records_the_true_deviation(ros_domain: int, start_process: S
         ("cell", "nowhere", "nowhere"),
         ("seed", 1.5, "seed"),
         ("rate__wrench", 1000, "rate.wrench"),
+        ("sped_factor", 2.0, "sped_factor"),
     ],
 )
 def test_a_wrong_parameter_ends_the_node_with_one_line(ros_domain: int, parameter: str, value: object, named: str) -> None:

@@ -27,6 +27,7 @@ LAG = 1  # cycles by which Delay may be behind
 SHORTEST_PAUSE = 10  # cycles between two sessions; no controller stops RSI and starts it again within that
 TOLERANCE = 1  # cycles
 REFUSED = 20  # cycles in a row that went wrong, to say so
+ANEW = 10  # packets in a row, each a cycle after the other and none of them of a later cycle: the controller's clock began anew
 IPOC_WRAP = 1 << 32  # ms
 
 
@@ -75,6 +76,7 @@ class Holding:
         self._standing = False
         self._clean = self._wrong = 0  # packets in a row
         self._even = self._uneven = 0  # packets on which IPOC went on by one cycle, and others
+        self._behind: tuple[int, int] | None = None  # the last packet of an earlier cycle: IPOC, and how many in a row led to it
 
     @property
     def in_session(self) -> bool:
@@ -102,7 +104,8 @@ class Holding:
             self.doubled += 1
             self._pace(ipoc == self._newest)
             self.problem = self._complaint()
-            return Verdict.SILENT
+            return self._earlier(ipoc, delay)
+        self._behind = None
         rose = self._heard(ipoc, delay, steps)
         # IPOC is the controller's time: where it goes on cycle by cycle RSI has not been started anew, however long that took
         if steps is None or abs(steps) >= RESTART or (was_silent and steps > SHORTEST_PAUSE):
@@ -144,6 +147,16 @@ class Holding:
         """Watch whether IPOC goes on by one cycle from packet to packet."""
         self._even = self._even + 1 if regular else 0
         self._uneven = 0 if self._even >= REFUSED // 2 else self._uneven + (not regular)
+
+    def _earlier(self, ipoc: int, delay: int | None) -> Verdict:
+        """A packet of a cycle that is over. Many in a row, in step, are the packets of a controller that was started anew."""
+        in_step = self._behind is not None and self._steps(self._behind[0], ipoc) == 1
+        self._behind = ipoc, (self._behind[1] + 1 if in_step and self._behind is not None else 1)
+        if self._behind[1] < ANEW:
+            return Verdict.SILENT
+        self._behind = None
+        self._heard(ipoc, delay, None)
+        return self._begin()
 
     def _first(self, delay: int | None, stood: bool) -> Verdict:
         """The first packet of a session; `stood`: RSI was off before for sure."""

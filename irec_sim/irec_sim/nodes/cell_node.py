@@ -39,7 +39,7 @@ from .followers import Followers
 from .loop import SimulationLoop
 from .messages import point_message, pose_message, wrench_message
 from .robot_side import FAULT_REASON, RobotSide
-from .startup import begin
+from .startup import begin, refuse_unknown_parameters
 from .streams import LATCHED_QOS, SENSOR_QOS, Stream, Streams, Template, ros_time
 
 RATES = {  # Hz of simulated time
@@ -267,6 +267,7 @@ def main() -> int:
         # a launch file gives its name with __node:=, which would go for both
         simulator = Node("simulator", cli_args=["--ros-args", "-r", "__node:=simulator"])
         node.course = CourseSide(simulator, node.cell, node.loop, node.robot, asked_to_stop)
+        refuse_unknown_parameters(node, simulator)
         course_thread = threading.Thread(target=_spin, args=(simulator, node.loop, asked_to_stop), name="course", daemon=True)
         node.loop.start()
         course_thread.start()
