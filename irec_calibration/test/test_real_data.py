@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from irec_calibration.absolute import base_terms, near_pairs, thinned
 from irec_calibration.cross_validation import held_out_residual
+from irec_calibration.errors import SessionError
 from irec_calibration.identify import fit, identify
 from irec_calibration.joint_stiffness import joint_stiffness
 from irec_calibration.model import blank_model
@@ -90,3 +91,13 @@ def test_a_foreign_bag_is_aligned_by_its_stamps_and_its_skew_found():
     assert delay.bursts_s > 0.1  # points were stamped on arrival, three at a time
     assert delay.value_s == pytest.approx(-0.1545, abs=0.005)
     assert delay.rms_after_m < 1e-3 < 0.05 < delay.rms_before_m
+
+
+@pytest.mark.parametrize(("line", "named"), [("delay: soon", "delay is 'soon'"), ("marker: {scale: big}", "scale is 'big'")])
+def test_a_profile_of_a_recording_with_a_word_for_a_number_is_refused(tmp_path, line, named):
+    bag = data("akig_ur5_tracker_bag") / "rotateBaseBFspeed1Pts10hzLAN_ros2_mcap"
+    text = (PROFILES / "ur5-akig.profile.yaml").read_text().replace("../../config", str(PROFILES.parents[1] / "config"))
+    profile = tmp_path / "profile.yaml"
+    profile.write_text(text.replace("marker: {topic: /tracker_points}\n", "") + line + "\n")
+    with pytest.raises(SessionError, match=named):
+        align_bag(bag, profile)

@@ -71,7 +71,7 @@ def align_bag(path: str | Path, profile: str | Path) -> tuple[Session, Delay]:
     Args:
         path: MCAP file or rosbag2 folder.
         profile: mapping file (`irec-align/1`): `session:` (content of session.yaml, URDF relative to the profile), and optionally
-            `joints: {topic:, names: [...]}`, `marker: {topic:, unit:}`, `delay: SECONDS` (found from the motion where absent).
+            `joints: {topic:, names: [...]}`, `marker: {topic:, scale: METRES PER UNIT}`, `delay: SECONDS` (found from the motion where absent).
 
     Raises:
         SessionError: topics or joints missing; names them.
@@ -79,7 +79,7 @@ def align_bag(path: str | Path, profile: str | Path) -> tuple[Session, Delay]:
     path, profile = Path(path), Path(profile)
     mapping = _mapping(profile)
     bag = BagReader(path)
-    read = _read(bag, mapping, path)
+    read = _read(bag, mapping, path, _number(mapping.get("marker") or {}, "scale", 1.0, profile))
     header_data = {"format": SESSION_FORMAT, "kind": "absolute", **mapping["session"]}
     urdf = profile.parent / str(mapping["session"]["robot"].get("urdf", ""))
     robot = Robot.from_urdf(urdf)
@@ -95,7 +95,7 @@ def align_bag(path: str | Path, profile: str | Path) -> tuple[Session, Delay]:
         raise SessionError(f"{path}: only {inside.sum()} tracker points lie within the time of the joint states")
     t_p, p = t_p[inside], p[inside]
     delay = replace(_delay(robot, t_q, q, t_p, p, read["log"]), bursts_s=bursts)
-    applied = float(mapping.get("delay", delay.value_s if np.isfinite(delay.value_s) else 0.0))
+    applied = _number(mapping, "delay", delay.value_s if np.isfinite(delay.value_s) else 0.0, profile)
     rows = _at(t_q, q, t_p + applied)
     columns: dict[str, list[str]] = {
         "pose": [str(i + 1) for i in range(len(t_p))],
@@ -142,7 +142,14 @@ def _mapping(profile: Path) -> Json:
     return data
 
 
-def _read(bag: BagReader, mapping: Json, path: Path) -> dict[str, Any]:
+def _number(mapping: Json, key: str, default: float, profile: Path) -> float:
+    value = mapping.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise SessionError(f"{profile}: {key} is {value!r}; a number is needed")
+    return float(value)
+
+
+def _read(bag: BagReader, mapping: Json, path: Path, scale: float) -> dict[str, Any]:
     list(bag.messages(()))  # topics are known only after the files were walked through
     topic = {}
     for key, type_name in TYPES.items():
@@ -170,7 +177,6 @@ def _read(bag: BagReader, mapping: Json, path: Path) -> dict[str, Any]:
         else:
             stamps["marker"].append((at, 1e-9 * message.log_time, [content.point.x, content.point.y, content.point.z]))
     out: dict[str, Any] = {"log": {}}
-    scale = float((mapping.get("marker") or {}).get("scale", 1.0))
     for key, items in stamps.items():
         if len(items) < 10:
             raise SessionError(f"{path}: only {len(items)} messages on {topic[key]}")
