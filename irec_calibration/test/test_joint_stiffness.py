@@ -113,3 +113,23 @@ def test_a_missing_field_is_named(tmp_path):
     )
     with pytest.raises(SessionError, match="no column 'm1'"):
         read_recordings(tmp_path / "a.csv", tmp_path / "p.yaml")
+
+
+@pytest.mark.parametrize(("step", "said"), [("soon", "step is 'soon'"), ("0", "above 0 is needed")])
+def test_a_step_that_is_no_time_is_refused(tmp_path, step, said):
+    table(tmp_path / "a.csv", trajectory(0))
+    channels = "".join(f"{c}: {{columns: [{c}_1]}}\n" for c in ("motor", "link", "torque"))
+    (tmp_path / "p.yaml").write_text(f"format: irec-joints/1\nstep: {step}\n{channels}")
+    with pytest.raises(SessionError, match=said):
+        read_recordings(tmp_path / "a.csv", tmp_path / "p.yaml")
+
+
+def test_a_matlab_channel_without_a_field_is_refused(tmp_path):
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {"m": trajectory(0).motor})
+    (tmp_path / "p.yaml").write_text(
+        "format: irec-joints/1\nstep: 0.004\nmotor: {columns: [m]}\nlink: {field: m}\ntorque: {field: m}\n"
+    )
+    with pytest.raises(SessionError, match="no 'field'"):
+        read_recordings(tmp_path / "a.mat", tmp_path / "p.yaml")

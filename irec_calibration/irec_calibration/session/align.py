@@ -71,7 +71,8 @@ def align_bag(path: str | Path, profile: str | Path) -> tuple[Session, Delay]:
     Args:
         path: MCAP file or rosbag2 folder.
         profile: mapping file (`irec-align/1`): `session:` (content of session.yaml, URDF relative to the profile), and optionally
-            `joints: {topic:, names: [...]}`, `marker: {topic:, scale: METRES PER UNIT}`, `delay: SECONDS` (found from the motion where absent).
+            `joints: {topic:, names: [...]}`, `marker: {topic:, scale: metres per unit}`, `delay: seconds` (found from the motion
+            where absent).
 
     Raises:
         SessionError: topics or joints missing; names them.

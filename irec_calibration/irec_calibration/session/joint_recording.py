@@ -70,7 +70,12 @@ def _read(path: Path, mapping: Json | None) -> Trajectory:
     if len(shapes) != 1:
         raise SessionError(f"{path}: motor, link and torque have different shapes: {', '.join(map(str, shapes))}")
     if "step" in mapping:
-        step = float(mapping["step"])
+        try:
+            step = float(mapping["step"])
+        except (TypeError, ValueError) as error:
+            raise SessionError(f"profile: step is {mapping['step']!r}; the time between samples in s is needed") from error
+        if not (np.isfinite(step) and step > 0.0):
+            raise SessionError(f"profile: step is {step:g} s; above 0 is needed")
     elif "time" in mapping:
         time = source.channel(mapping["time"])[:, 0]
         step = float(np.median(np.diff(time)))
@@ -104,6 +109,8 @@ class _Mat:
         return np.asarray(value, dtype=float)
 
     def channel(self, spec: Json) -> Array:
+        if "field" not in spec:
+            raise SessionError(f"{self.path}: the profile names no 'field' for a channel of a MATLAB file, only {spec}")
         values = np.atleast_2d(self.field(spec["field"]))
         values = values.T if values.shape[0] < values.shape[1] else values
         return values * _factor(spec, self.field)
