@@ -18,6 +18,9 @@ EIGHTEEN_DOF = ("joint_torsion", "link_bending")
 GEOMETRIC = ("station_pose", "marker_position", "geometry_error")  # where absolute sessions start from
 
 
+NO_UNIT = ("1", "0 or 1")
+
+
 @dataclass(frozen=True)
 class Estimate:
     """One parameter's value.
@@ -36,7 +39,8 @@ class Estimate:
 
     def __str__(self) -> str:
         error = f" +- {self.se:.2g}" if math.isfinite(self.se) else ""
-        return f"{self.value:.4g}{error} {self.unit}".rstrip()
+        unit = self.unit if self.unit not in NO_UNIT else ""
+        return f"{self.value:.4g}{error} {unit}".rstrip()
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from irec_calibration.identify import identify
-from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, blank_model
+from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, Estimate, blank_model
 from synthetic import session
 
 pytest.importorskip("matplotlib")
@@ -43,3 +43,9 @@ def test_each_figure_of_samples_is_written(tmp_path):
         models.course({"off": np.arange(9.0)}, {"off": np.ones(9) * 5e-4}, 3e-4, tmp_path / "g.png"),
     ]
     assert all(path.read_bytes().startswith(PNG) for path in written)
+
+
+def test_a_value_is_written_with_its_error_and_unit_where_it_has_them():
+    assert str(Estimate(1.234567e-7, 1.2e-8, "rad/(N m)")) == "1.235e-07 +- 1.2e-08 rad/(N m)"
+    assert str(Estimate(0.036, unit="share of rated torque")) == "0.036 share of rated torque"
+    assert str(Estimate(-0.026, 0.003, "1")) == "-0.026 +- 0.003"
