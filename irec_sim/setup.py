@@ -15,20 +15,22 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["**/*.html", "**/*.css", "**/*.js", "**/*.xml", "**/*.src", "**/*.j2", "py.typed"]},
+    package_data={NAME: ["**/*.html", "**/*.css", "**/*.js", "**/*.xml", "**/*.src", "**/*.j2", "**/*.json", "py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
         *((f"share/{NAME}/config/{kind}", glob(f"config/{kind}/*")) for kind in ("cells", "robots", "truths")),
     ],
-    install_requires=["numpy>=1.26,<3", "scipy>=1.13", "PyYAML>=6.0", "python-can>=4.4"],
+    install_requires=["numpy>=1.26,<3", "scipy>=1.13", "PyYAML>=6.0", "jsonschema>=4.10", "python-can>=4.4"],
     extras_require={},
     zip_safe=False,
     entry_points={
         "console_scripts": [
             "irec-sim = irec_sim.cli:main",
             "cell_node = irec_sim.nodes.cell_node:main",
-        ]
+            "ros2_control_node = irec_sim.nodes.ros2_control_node:main",
+        ],
+        "irec.formats": ["irec-truth/1 = irec_sim.truth:truth_problems"],
     },
 )

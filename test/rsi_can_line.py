@@ -11,13 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from irec_calibration.identify import identify
+from irec_calibration.identification.identify import identify
+from irec_calibration.identification.provenance import model_of
 from irec_calibration.model import EIGHTEEN_DOF, blank_model
-from irec_calibration.model_file import save_model
-from irec_calibration.provenance import model_of
+from irec_calibration.model.file import save_model
 from irec_calibration.robot import Robot
+from irec_calibration.sensors.tool_load import ToolLoad, identify_tool_load
 from irec_calibration.session import read_session
-from irec_calibration.tool_load import ToolLoad, identify_tool_load
 from irec_correction.conditioning import sensor_in_tool
 from irec_sim.cell import Cell
 from irec_sim.cellfile import read_cell

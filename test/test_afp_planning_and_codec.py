@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from irec_calibration.cell import read_cell
+from irec_calibration.codec.growth import SATURATED
 from irec_calibration.poses import plan as plan_module
 from irec_calibration.poses.blocks import observation_blocks
 from irec_calibration.poses.plan import make_plan
@@ -103,10 +104,16 @@ def test_the_uncertainty_that_a_plan_predicts_is_what_repeated_measurements_scat
     np.testing.assert_allclose(scatter.max(axis=1), plan.uncertainty[where], rtol=0.15)
 
 
-def test_18_degrees_of_freedom_beat_6_on_unseen_poses_as_in_fig_9(codec):
+def beyond_noise(figures, which):
+    """What an error has beside the noise of the readings that it is judged by, which no model can explain, m."""
+    return np.sqrt(max(figures[f"{which}_m"] ** 2 - figures[f"floor_{which}_m"] ** 2, 0.0))
+
+
+@pytest.mark.parametrize("which", ["mean", "max"])
+def test_18_degrees_of_freedom_beat_6_on_unseen_poses_as_in_fig_9(codec, which):
     figures = codec("model")
     six, eighteen = figures["6 DOF"], figures["18 DOF"]
-    assert eighteen["mean_m"] < 0.8 * six["mean_m"] and eighteen["max_m"] < 0.8 * six["max_m"]
+    assert beyond_noise(eighteen, which) < 0.8 * beyond_noise(six, which)
     # from five poses on, not only at the end
     assert (np.array(eighteen["mean_curve_m"][4:]) < np.array(six["mean_curve_m"][4:])).all()
 
@@ -119,13 +126,18 @@ def test_five_load_cases_beat_the_normal_one_on_unseen_poses_as_in_fig_10(codec)
     assert (np.array(every["mean_curve_m"][1:]) < np.array(normal["mean_curve_m"][1:])).all()
 
 
-def test_cover_and_ioops_end_alike_and_saturate_alike_within_their_uncertainty(codec):
-    """Fig. 7 claims a slight lead for COVER; on this cell there is none that could be claimed, either way."""
+def test_cover_and_ioops_end_alike_and_from_the_saturation_of_one_on_are_equally_good(codec):
+    """Fig. 7 claims a slight lead for COVER; on this cell there is none that could be claimed, either way.
+
+    The number of poses at saturation varies by several poses from session to session, by noise alone: what can be claimed of one
+    session is the error there, within the share by which saturation is defined.
+    """
     figures = codec("pose-search")
     cover, ioops = figures["cover"], figures["ioops"]
     assert cover["mean_m"] == pytest.approx(ioops["mean_m"], rel=1e-6)  # the largest training sets are the same
-    assert cover["saturated_interval"][0] <= ioops["saturated_interval"][1]
-    assert ioops["saturated_interval"][0] <= cover["saturated_interval"][1]
+    first = min(cover["saturated_at"], ioops["saturated_at"])
+    assert first < len(cover["mean_curve_m"])
+    np.testing.assert_allclose(cover["mean_curve_m"][first - 1 :], ioops["mean_curve_m"][first - 1 :], rtol=SATURATED)
 
 
 def test_the_full_model_comes_down_to_the_noise_floor(codec):

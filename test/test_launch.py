@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 LAUNCH_FILES = sorted(ROOT.glob("irec_*/launch/*.launch.py"))
 CELLS = ("afp", "milling")
 INSTALLED = {
-    "irec_calibration": ["config/nodes/calibration.yaml", "config/nodes/recorder.yaml"],
+    "irec_calibration": ["config/nodes/calibration.yaml", "config/nodes/kuka_drivers.yaml", "config/nodes/recorder.yaml"],
     "irec_correction": ["config/nodes/correction.yaml"],
     "irec_sim": [
         str(p.relative_to(ROOT)) for kind in ("cells", "robots", "truths") for p in sorted((ROOT / "config" / kind).iterdir())

@@ -15,8 +15,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("irec_calibration", "irec_correction", "irec_sim")
-ROS_MODULES = re.compile(r"^(rclpy|launch|launch_ros|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|ament_index_python)$")
+ROS_MODULES = re.compile(r"^(rclpy|irec_ros|launch|launch_ros|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|ament_index_python)$")
 # distribution -> import name, where they differ
+SHARED = "irec_ros"  # Python that irec_msgs installs
 PYPI = {"pin": "pinocchio", "PyYAML": "yaml", "mcap-ros2-support": "mcap_ros2", "python-can": "can", "scikit-learn": "sklearn"}
 
 
@@ -55,7 +56,8 @@ def test_what_is_imported_is_declared(package):
     text = (ROOT / package / "setup.py").read_text()
     declared |= {PYPI.get(n, n) for n in re.findall(r"[\"']([A-Za-z][\w-]*)[>\"']", text)}
     declared |= {d.removeprefix("python3-") for d in declared if d} | {package}
-    used = set().union(*(imports(p) for p in sources(package))) - set(sys.stdlib_module_names) - {"__future__"}
+    used = {"irec_msgs" if m == SHARED else m for p in sources(package) for m in imports(p)}
+    used -= {*sys.stdlib_module_names, "__future__"}
     assert not used - declared
 
 
@@ -64,7 +66,14 @@ def test_the_ros_packages_that_are_declared_are_those_that_are_imported(package)
     tree = ElementTree.parse(ROOT / package / "package.xml").getroot()
     declared = {e.text for e in tree if e.tag == "exec_depend" and ROS_MODULES.match(e.text or "")}
     files = [*sources(package), *(ROOT / package / "launch").glob("*.launch.py")]
-    assert declared == {m for p in files for m in imports(p) if ROS_MODULES.match(m)}
+    used = {m for p in files for m in imports(p) if ROS_MODULES.match(m)}
+    assert declared == {"irec_msgs" if m == SHARED else m for m in used}
+
+
+def test_what_the_nodes_share_imports_no_other_package_of_the_project_and_is_declared_by_irec_msgs():
+    used = {m for p in (ROOT / "irec_msgs" / SHARED).glob("*.py") for m in imports(p)} - set(sys.stdlib_module_names)
+    tree = ElementTree.parse(ROOT / "irec_msgs" / "package.xml").getroot()
+    assert used - {"__future__", "irec_msgs"} <= {e.text for e in tree if e.tag in ("depend", "exec_depend")}
 
 
 @pytest.mark.parametrize("package", (*PACKAGES, "irec_msgs"))

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from demo_parts.domain import free_domain
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
-from irec_calibration.model_file import load_model
+from irec_calibration.model.file import load_model
 from irec_calibration.poses.plan import make_plan, pose_list
 from irec_calibration.poses.store import read_poses, write_poses
 from irec_calibration.session import read_session
@@ -55,14 +55,14 @@ def guarded(args: argparse.Namespace, run: Callable[[argparse.Namespace], None])
     """Run a demo on a ROS domain of its own; one line for what went wrong and exit code 2, 130 where it was cancelled."""
     os.environ["ROS_DOMAIN_ID"] = str(free_domain())  # before the first ROS import: nobody else's topics
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    from demo_parts.operator import AskedInVain
+    from demo_parts.operator import RequestRefused
     from demo_parts.processes import NodeEnded
 
     for number in (signal.SIGINT, signal.SIGTERM):  # both end the nodes, also where SIGINT was ignored by who started this
         signal.signal(number, signal.default_int_handler)
     try:
         run(args)
-    except (IrecError, AskedInVain, NodeEnded, ValueError) as error:
+    except (IrecError, RequestRefused, NodeEnded, ValueError) as error:
         print(f"\ndemo: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -95,7 +95,7 @@ def _run(args: argparse.Namespace) -> None:
         finally:
             operator.close()
     progress.stage("figures", "drawing figures")
-    _draw_and_tell(args, out, made, progress)
+    _draw_and_print(args, out, made, progress)
 
 
 def plan_poses(args: argparse.Namespace, out: Path) -> Path:
@@ -204,7 +204,7 @@ def drive(
     return courses
 
 
-def _draw_and_tell(args: argparse.Namespace, out: Path, made: dict[str, Any], progress: Progress) -> None:
+def _draw_and_print(args: argparse.Namespace, out: Path, made: dict[str, Any], progress: Progress) -> None:
     from demo_parts.course import figures_mm, read_course, reduction_percent
     from demo_parts.figures import course_figure, residuals_figure
     from demo_parts.table import table

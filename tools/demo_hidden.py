@@ -20,7 +20,7 @@ from typing import Any
 import demo
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
-from irec_calibration.model_file import save_model
+from irec_calibration.model.file import save_model
 from irec_calibration.session import read_session
 
 OUT = demo.ROOT / "out" / "demo-hidden"
@@ -67,7 +67,7 @@ def _run(args: argparse.Namespace) -> None:
             courses = demo.drive(operator, progress, args, out, models)
         finally:
             operator.close()
-    _tell(args, out, ladder, session, courses, progress)
+    _print_result(args, out, ladder, session, courses, progress)
 
 
 def _improve(made: dict[str, Any], out: Path, progress: Any) -> tuple[Any, Any]:
@@ -87,7 +87,9 @@ def _improve(made: dict[str, Any], out: Path, progress: Any) -> tuple[Any, Any]:
     return ladder, session
 
 
-def _tell(args: argparse.Namespace, out: Path, ladder: Any, session: Any, courses: dict[str, Path], progress: Any) -> None:
+def _print_result(
+    args: argparse.Namespace, out: Path, ladder: Any, session: Any, courses: dict[str, Path], progress: Any
+) -> None:
     from demo_parts.course import figures_mm, read_course, reduction_percent
     from irec_calibration.report.ladder import write_ladder_report
     from irec_calibration.report.models import course

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of docs/real-data: held-out error of a ladder of models on each measured set.
+"""Figures of docs/real-data: held-out error of a ladder of models on each measured set, and what `irec improve` makes of it.
 
-    .venv/bin/python tools/real_data.py [SET ...] [-o docs/real-data]
+    .venv/bin/python tools/real_data.py [SET ...] [-o docs/real-data] [--ladder]
 
 Data are looked for in IREC_REAL_DATA, or ../shared/data beside the checkout; sets that are not there are skipped.
 """
@@ -15,17 +15,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from irec_calibration.absolute import base_terms, near_pairs, thinned
-from irec_calibration.cross_validation import held_out_residual
-from irec_calibration.identify import fit, without_outliers
+from irec_calibration.diagnose import improve, validated
+from irec_calibration.identification.absolute import base_terms, near_pairs, thinned
+from irec_calibration.identification.identify import fit, observe_with_force_noise
+from irec_calibration.identification.validation import ESTIMATOR
 from irec_calibration.model import blank_model
-from irec_calibration.observe import observe
 from irec_calibration.report.style import BLUE, GREY, ORANGE, pyplot, save
 from irec_calibration.session.foreign import import_table
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("IREC_REAL_DATA", ROOT.parent / "shared" / "data"))
-MOST_POSES = 3000
 PLACED = ("station_pose", "marker_position")
 TORSION, BENDING, ENCODER = ("joint_torsion",), ("joint_torsion", "link_bending"), ("joint_torsion", "encoder_harmonics")
 HISTORY = ("joint_hysteresis", "joint_settling")
@@ -63,34 +62,45 @@ SETS = {
 def ladder(one: Set) -> list[tuple[str, tuple[str, ...] | None]]:
     """Names of the models and the effects beyond the geometric model (None: stations and markers only)."""
     out: list[tuple[str, tuple[str, ...] | None]] = [
-        ("stations, markers", None), ("+ geometry", ()), ("+ joint torsion", TORSION), ("  + link bending", BENDING),
-        ("  + encoder harmonics", ENCODER),
+        ("stations, markers", None), ("+ geometry", ()), ("+ joint torsion", TORSION), ("+ torsion, link bending", BENDING),
+        ("+ torsion, encoder harmonics", ENCODER),
     ]  # fmt: skip
+    if "joint_hysteresis" in one.history:
+        out.append(("+ torsion, joint hysteresis", (*TORSION, "joint_hysteresis")))
     if one.history:
-        out.append(("  + encoder, history" + (", drift" if "thermal_drift" in one.history else ""), (*ENCODER, *one.history)))
+        drift = ", drift" if "thermal_drift" in one.history else ""
+        out.append((f"+ torsion, encoder, history{drift}", (*ENCODER, *one.history)))
     return out
 
 
-def run(name: str, one: Set, folder: Path) -> None:
-    """Print the ladder of one set and draw it."""
+def run(name: str, one: Set, folder: Path, ladder_only: bool) -> None:
+    """Print the ladder of one set, draw it, and print what `irec improve` adds and says."""
     with tempfile.TemporaryDirectory() as scratch:
         session = import_table(ROOT / "docs" / "real-data" / f"{one.profile}.profile.yaml", DATA / one.table, scratch)
-    whole = without_outliers(observe(session), base_terms())
-    few = thinned(whole, MOST_POSES)
-    print(f"{name}: {len(session)} rows, {len(few.rows)} used; mean error on held-out poses, mm (standard error over poses)")
+    whole = observe_with_force_noise(session, base_terms())
+    few = thinned(whole)
+    print(f"{name}: {len(session)} rows, {len(few.rows)} used; {ESTIMATOR}")
+    print("  mean error on held-out poses, mm (standard error over poses)")
     for note in few.session.notes:
         print(f"  note: {note}")
     means, labels, geometric = [], [], None
     for label, effects in ladder(one):
         terms = blank_model(PLACED) if effects is None else [*base_terms(), *blank_model(effects)]
-        found = fit(terms, few)
-        size = 1e3 * np.linalg.norm(held_out_residual(found.terms, few), axis=1)
-        geometric = size if label == "+ geometry" else geometric
-        means.append(float(size.mean()))
+        made = validated(session, terms)
+        error = made.held_out
+        geometric = 1e3 * np.linalg.norm(error.residual, axis=1) if label == "+ geometry" else geometric
+        means.append(1e3 * error.mean_m)
         labels.append(label)
-        print(f"  {label:34} {size.mean():8.4f} ({size.std(ddof=1) / np.sqrt(len(size)):.4f})   rank {found.rank}")
+        print(f"  {label:34} {1e3 * error.mean_m:8.4f} ({1e3 * error.mean_se_m:.4f})   rank {made.study.fit.rank}")
     floor = 1e3 * few.whiten.floor * np.sqrt(8.0 / (3.0 * np.pi))  # mean of the norm of three normal errors with that RMS
     print(f"  {'noise of instruments and robot':34} {floor:8.4f}")
+    if not ladder_only:
+        told = improve(session)
+        for rung in told.rungs:
+            what = f"irec improve: + {rung.added}" if rung.added else "irec improve: start"
+            print(f"  {what:34} {1e3 * float(rung.model.figures['cv_mean_m']):8.4f}   rms {1e3 * rung.cv_rms_m:.4f}")
+        print(f"  stopped: {told.stopped}")
+        print(f"  verdict: {told.before.verdict.status}. {told.before.verdict.text}")
     pairs = near_pairs(whole, fit(base_terms(), whole).residual)
     draw(folder / f"{name}.png", one.title, labels, means, floor, geometric, whole, pairs)
 
@@ -129,10 +139,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="*", choices=[*SETS, []], help=f"default: all of {', '.join(SETS)}")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "real-data")
+    parser.add_argument("--ladder", action="store_true", help="the ladder and the figure only")
     args = parser.parse_args()
     for name in args.sets or SETS:
         if (DATA / SETS[name].table).exists():
-            run(name, SETS[name], args.output)
+            run(name, SETS[name], args.output, args.ladder)
         else:
             print(f"{name}: skipped, {DATA / SETS[name].table} is not there")
 

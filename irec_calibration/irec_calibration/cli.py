@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
+# PYTHON_ARGCOMPLETE_OK
 """The `irec` command. Each subcommand is a module of `irec_calibration.commands` and is imported only when used."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 
 from . import __version__
-from .errors import Cancelled, IrecError
+from .commands.guidance import WELCOME, example, what_follows
+from .errors import Cancelled, ImplausibleSession, IrecError
 
 # name: (module below irec_calibration.commands, one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
+    "check": ("check", "everything that is wrong in cell, poses, session, model, truth or profile files"),
+    "init-cell": ("init_cell", "write a commented cell file from what is known on the first day"),
+    "show-cell": ("show_cell", "draw a cell: robot, surface, stations, poses, sight lines"),
     "plan": ("plan", "choose engagement poses on a tooling surface"),
     "solve": ("solve", "identify a model from a session"),
     "predict": ("predict", "deflections that a model predicts for a session"),
@@ -22,6 +28,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "add": ("add", "add an effect to a model and refit"),
     "remove": ("remove", "take an effect out of a model and refit"),
     "improve": ("improve", "add effects as long as the evidence justifies it"),
+    "report": ("report", "a page to print: verdict, one figure, what to do next, evidence"),
+    "scene": ("scene", "robot, residuals and surface as an MCAP for Foxglove, RViz, PlotJuggler"),
+    "workbench": ("workbench", "a local page: see where a model fails, try effects, watch the error fall"),
     "history": ("history", "how a model came about"),
     "effects": ("effects", "the catalogue of physical effects"),
     "inspect": ("inspect_bag", "what an MCAP recording holds and lacks"),
@@ -29,20 +38,35 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import": ("import_session", "table (or a foreign one, by a profile) to a session"),
     "joint-stiffness": ("joint_stiffness", "joint stiffness from motor and link encoders"),
     "tool-load": ("tool_load", "tool mass, centre of mass and bias from a recording without contact"),
+    "latency": ("latency", "how late the robot follows the force, from a recording"),
+    "modes": ("modes", "modes of arm and head from a recorded tap or swept force"),
+    "completion": ("completion", "code that makes your shell complete irec's commands and options"),
     "rsi-config": ("rsi_config", "KRC configuration and KRL example for RSI"),
 }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand; 0 done, 1 done but bad news, 2 bad input."""
+    given = list(sys.argv[1:] if argv is None else argv)
+    completing = "_ARGCOMPLETE" in os.environ
+    if not given and not completing:
+        print(WELCOME)
+        return 0
     parser = argparse.ArgumentParser(
         prog="irec", description="In-situ elastic calibration of robots and correction of deflection under load."
     )
     parser.add_argument("--version", action="version", version=f"irec {__version__}")
     names = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    wanted = next((a for a in (sys.argv[1:] if argv is None else argv) if not a.startswith("-")), None)
+    words = os.environ.get("COMP_LINE", "").split()[1:] if completing else given
+    wanted = next((a for a in words if not a.startswith("-")), None)
     for name, (module_name, help_text) in COMMANDS.items():
-        sub = names.add_parser(name, help=help_text, description=help_text[0].upper() + help_text[1:] + ".")
+        sub = names.add_parser(
+            name,
+            help=help_text,
+            description=help_text[0].upper() + help_text[1:] + ".",
+            epilog=example(name),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         if name == wanted:
             module = import_module(f"irec_calibration.commands.{module_name}")
             module.configure(sub)
@@ -50,16 +74,27 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "--effects", metavar="FILE", action="append", default=[], help="Python file with effects of your own"
             )
             sub.set_defaults(run=module.run)
-    args = parser.parse_args(argv)
+    if completing:
+        import argcomplete  # only the shell's completion comes here
+
+        argcomplete.autocomplete(parser)
+    args = parser.parse_args(given)
     try:
         for path in args.effects:
             from .effects.user import register_file  # only who names a file pays for it
 
             register_file(path)
-        return int(args.run(args) or 0)
+        code = int(args.run(args) or 0)
+        follow = "" if getattr(args, "json", False) else what_follows(args.command, vars(args))
+        if follow:
+            print(follow)
+        return code
     except Cancelled as error:
         print(f"irec {args.command}: {error}", file=sys.stderr)
         return 130
+    except ImplausibleSession as error:
+        print(f"irec {args.command}: implausible: {error}; --accept-implausible goes on all the same", file=sys.stderr)
+        return 1
     except IrecError as error:
         print(f"irec {args.command}: error: {error}", file=sys.stderr)
         return 2

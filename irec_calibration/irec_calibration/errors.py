@@ -4,8 +4,22 @@
 from __future__ import annotations
 
 
+def one_line(text: str) -> str:
+    """Without line ends and control characters: what stands in a file must not break the line that names it."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
+
+
 class IrecError(Exception):
-    """Base of every error that is reported to the user in one line (exit code 2) instead of a stack trace."""
+    """Base of every error that is reported to the user in one line (exit code 2) instead of a stack trace.
+
+    Attributes:
+        problems: where several things are wrong at once, one line for each; empty otherwise.
+    """
+
+    problems: tuple[str, ...] = ()
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(one_line(str(message)))
 
 
 class RobotError(IrecError):
@@ -14,6 +28,18 @@ class RobotError(IrecError):
 
 class SessionError(IrecError):
     """A recording is not a valid session; names file, line and column."""
+
+
+class ImplausibleSession(SessionError):
+    """A session that can be read and can't be what it says; exit code 1, as after bad news.
+
+    Attributes:
+        doubts: each reason as a sentence.
+    """
+
+    def __init__(self, message: str, doubts: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.doubts = doubts
 
 
 class RecordingError(IrecError):

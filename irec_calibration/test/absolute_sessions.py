@@ -124,3 +124,14 @@ def session(
     else:
         stations, markers = tuple(replace(s, known=True) for s in stations), tuple(replace(m, known=True) for m in markers)
     return replace(base, p_marker_in_station=seen, stations=stations, markers=markers)
+
+
+def torsion(c: np.ndarray):
+    """A displacement by compliances c (k,), rad/(N m), under gravity, for `session(moved=...)`."""
+
+    def moved(s, p):
+        tau = s.robot.gravity_torque(s.q, s.gravity_in_base, s.payload)
+        J = s.robot.kinematics(s.q).jacobian(p)
+        return np.einsum("nik,nk->ni", J, tau * c)
+
+    return moved

@@ -8,7 +8,7 @@ from irec_calibration.procedure.checks import Target
 from irec_calibration.procedure.commands import CancelMove, Event, ForceSetpoint, MoveJoint, MoveLinear, Row, SwitchMode
 from irec_calibration.procedure.machine import Procedure
 from irec_calibration.procedure.settings import Settings, Settling
-from irec_calibration.procedure.settle import Streams
+from irec_calibration.procedure.standstill import Streams
 from irec_calibration.procedure.table import STATES
 
 FORCES = np.array([[0, 0, -1100.0], [280, 0, -1100], [-280, 0, -1100]])
@@ -34,11 +34,14 @@ def targets(n: int, bad: dict[int, str] | None = None) -> list[Target]:
 class FakeRobot:
     """Runs a Procedure to its end in simulated time; what it answers and reads can be changed at any time."""
 
-    def __init__(self, n_poses: int = 2, bad: dict[int, str] | None = None, seed: int = 1, **arguments: object) -> None:
+    def __init__(
+        self, n_poses: int = 2, bad: dict[int, str] | None = None, seed: int = 1, order_seed: int | None = None,
+        **arguments: object,
+    ) -> None:
         self.streams = Streams(5.0)
         self.procedure = Procedure(
             targets(n_poses, bad), FORCES, np.zeros(6), settings(**arguments.pop("settings", {})), self.streams,  # type: ignore[arg-type]
-            {"A": np.eye(3)}, **arguments,  # type: ignore[arg-type]
+            {"A": np.eye(3)}, seed=order_seed, **arguments,  # type: ignore[arg-type]
         )  # fmt: skip
         self.rng = np.random.default_rng(seed)
         self.now = 0.0
@@ -52,6 +55,14 @@ class FakeRobot:
         self.force_share = np.ones(3)  # what the contact can hold of the wanted force
         self.extra_force = np.zeros(3)
         self.obeys_moves = self.obeys_modes = True
+        self.speaks = True  # on robot/state
+        self.force_noise = 1.0  # N
+        self.lease = 0.5  # s
+        self.set_points = 0
+        self.says = ""  # in robot/state
+        self.retreating = False
+        self.tcp = np.array([1.0, 0.0, 0.003])
+        self.clock = 0.0  # s by which somebody has set the cell's clock
         self.sliding = np.zeros(3)  # m/s
         self.rows: list[Row] = []
         self.events: list[Event] = []
@@ -69,6 +80,7 @@ class FakeRobot:
         return self
 
     def start(self) -> FakeRobot:
+        self.procedure.watch.robot_said(int(self.force_control))
         self.procedure.start()
         return self
 
@@ -78,11 +90,13 @@ class FakeRobot:
         if self._move and self.now >= self._move[0]:
             move, self._move = self._move[1], None
             if isinstance(move, MoveLinear):
-                self.near_surface = bool(move.p_in_base[2] < 0.01)
+                self.near_surface = bool(abs(move.p_in_base[2]) < 0.01)
             else:
                 self.near_surface = False
             self.procedure.move_finished(True)
-        for command in self.procedure.step(self.now, self.now):
+        if self.speaks:
+            self.procedure.watch.robot_said(int(self.force_control), self.retreating, self.says)
+        for command in self.procedure.step(self.now + self.clock, self.now):
             self.commands.append(command)
             self._carry_out(command)
         if not self.states or self.states[-1] != self.procedure.state:
@@ -93,12 +107,12 @@ class FakeRobot:
         self.force += (goal - self.force) * min(1.0, dt / 0.1)
         self.marker = self.marker + self.sliding * dt * self.force_control
         if self.delivers_force:
-            noisy = self.force + self.extra_force + self.rng.normal(0, 1.0, 3)
+            noisy = self.force + self.extra_force + self.rng.normal(0, self.force_noise, 3)
             self.streams.add_wrench(self.now, (*noisy, 0.0, 0.0, 0.0))
         if self.sees_marker:
             self.streams.add_marker(self.now, *(self.marker + self.rng.normal(0, 1e-5, 3)), "A")
         self.streams.add_joints(self.now, NAMES, (0.0,) * 6)
-        self.streams.add_tcp(self.now, 1.0, 0.0, 0.003)
+        self.streams.add_tcp(self.now, *self.tcp)
 
     def _carry_out(self, command: object) -> None:
         if isinstance(command, MoveJoint | MoveLinear):
@@ -111,11 +125,14 @@ class FakeRobot:
         elif isinstance(command, SwitchMode):
             if self.obeys_modes:
                 self.force_control, self.wanted = command.force, command.force_in_tool
-                self.procedure.mode_switched(True)
+                self.procedure.mode_switched(True, "", self.lease)
+            else:
+                self.procedure.mode_switched(False, "the robot does not want to")
         elif isinstance(command, ForceSetpoint):
             if not self.force_control:
                 raise AssertionError("a force was asked for in position control")
             self.wanted = command.force_in_tool
+            self.set_points += 1
         elif isinstance(command, Row):
             self.rows.append(command)
         elif isinstance(command, Event):

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from irec_calibration.effects.scene import Scene, scene_of
 from irec_calibration.robot import Robot
-from irec_calibration.scene import Scene, scene_of
 from irec_calibration.session import Marker, Noise, Session, Station
 
 EFFORT = (7290, 8910, 7759, 2462, 1492, 908)
@@ -49,18 +49,21 @@ def session(
     compliance: np.ndarray = COMPLIANCE,
     transverse: np.ndarray = TRANSVERSE,
     joints: tuple[tuple[float, ...], tuple[float, ...]] = JOINTS,
+    q_of_poses: np.ndarray | None = None,
 ) -> Session:
     """A loaded session: 18-DOF truth, five load cases a pose, plus what `extra` adds to the marker's displacement.
 
     Args:
         extra: function of the noise-free scene -> displacement of the marker in base_link, (n, 3), m.
         joints: lowest and highest joint angles of the poses, rad.
+        q_of_poses: (poses, 6), rad; drawn where None.
     """
     rng = np.random.default_rng(seed)
-    noise = noise or Noise(tracker_m=7.5e-6, tracker_m_per_m=3e-6, force_n=1.0, settling_m=2e-6)
+    noise = noise or Noise(tracker_m=7.5e-6, tracker_m_per_m=1.8e-6, force_n=1.0, settling_m=2e-6)
     robot = Robot(urdf())
     rows = 6 * poses
-    q = np.repeat(rng.uniform(*joints, (poses, 6)), 6, axis=0) + rng.normal(0, 5e-4, (rows, 6))
+    q_of_poses = rng.uniform(*joints, (poses, 6)) if q_of_poses is None else q_of_poses
+    q = np.repeat(q_of_poses, 6, axis=0) + rng.normal(0, 5e-4, (rows, 6))
     case = np.tile(np.arange(6), poses)
     force = np.array([LOAD_CASES.get(int(j), (0, 0, 0)) for j in case], dtype=float)
     force += np.where(case[:, None] > 0, rng.normal(0, 15.0, (rows, 3)), 0.0)
@@ -90,7 +93,8 @@ def session(
         u = u + extra(scene)
     in_base = scene.p_observed + u - np.array(station.xyz)
     p_marker = in_base @ station.R_in_base
-    sigma = np.sqrt(noise.tracker_m**2 + (noise.tracker_m_per_m * np.linalg.norm(p_marker, axis=1)) ** 2 + noise.settling_m**2)
+    distance = np.linalg.norm(p_marker, axis=1)
+    sigma = np.hypot(noise.tracker_m + noise.tracker_m_per_m * distance, noise.settling_m)
     p_marker = p_marker + rng.normal(size=p_marker.shape) * sigma[:, None]
     measured_force = force + rng.normal(size=force.shape) * noise.force_n
     return Session(**{**vars(blank), "p_marker_in_station": p_marker, "force_in_tool": measured_force})

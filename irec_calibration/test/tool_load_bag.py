@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from irec_calibration.robot import Robot
-from irec_calibration.tool_load import ToolLoad
+from irec_calibration.sensors.tool_load import ToolLoad
 from mcap_ros2.writer import Writer
 
 URDF = Path(__file__).parents[2] / "config/robots/kr120_r2700_extra_ha.urdf"

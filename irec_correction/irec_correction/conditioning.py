@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from irec_calibration.robot import Robot
-from irec_calibration.tool_load import ToolLoad
+from irec_calibration.robot import Robot, parent_joint
+from irec_calibration.sensors.tool_load import ToolLoad
 from irec_calibration.typing import Array
 
+from .ahead import Fir
 from .errors import SettingsError
 from .filters import Filter, Median, low_pass, spindle_notches
 
@@ -69,7 +70,7 @@ def sensor_in_tool(robot: Robot, frame: str) -> tuple[Array, Array]:
     if not model.existFrame(frame):
         raise SettingsError(f"robot description has no link '{frame}', in which the force sensor is said to measure")
     sensor, tool = model.frames[model.getFrameId(frame)], model.frames[model.getFrameId("tool0")]
-    if sensor.parentJoint != tool.parentJoint:
+    if parent_joint(sensor) != parent_joint(tool):
         raise SettingsError(
             f"link '{frame}' is not fixed to tool0, so that a force sensor there does not measure the process force"
         )
@@ -85,6 +86,7 @@ class FilterSettings:
         rate: of the samples, Hz. median: samples, 0 for none.
         spindle_speed: 1/s, 0 for none; harmonics: notches; notch_quality: frequency / bandwidth.
         cutoff: of the low-pass, Hz, 0 for none; order.
+        taps: of a designed filter in place of the low-pass (`ahead.design`), newest sample first; (1.0,) for none.
     """
 
     rate: float = 250.0
@@ -94,6 +96,7 @@ class FilterSettings:
     notch_quality: float = 5.0
     cutoff: float = 40.0
     order: int = 2
+    taps: Sequence[float] = (1.0,)
 
 
 def make_filters(s: FilterSettings) -> list[Filter]:
@@ -105,7 +108,9 @@ def make_filters(s: FilterSettings) -> list[Filter]:
         out.append(Median(s.median, s.rate))
     if s.spindle_speed:
         out += spindle_notches(s.spindle_speed, s.harmonics, s.notch_quality, s.rate)
-    if s.cutoff:
+    if len(s.taps) != 1:
+        out.append(Fir(np.array(s.taps, dtype=float), s.rate))
+    elif s.cutoff:
         out.append(low_pass(s.cutoff, s.order, s.rate))
     return out
 

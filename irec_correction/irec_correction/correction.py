@@ -19,9 +19,12 @@ from .conditioning import Conditioner
 from .deflection import Deflection
 from .errors import ActivationError, SettingsError
 from .limits import OffsetLimiter, OffsetLimits
+from .preview import Preview
 from .spring_chain import build_chain
 from .state import State, StateTimes, Supervisor
 from .watchdog import Fault, Finding, Watchdog, WatchdogSettings
+
+HELD_UP = 0.5  # s between two ticks from which it is told
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,11 @@ class Counts:
 
 
 class Correction:
-    """The chain with its memory. Times are seconds on one clock, given by the caller; one thread only."""
+    """The chain with its memory. Times are seconds on one clock, given by the caller; one thread only.
+
+    Attributes:
+        preview: force that is known from earlier courses, or None.
+    """
 
     def __init__(self, settings: CorrectionSettings, robot: Robot, conditioner: Conditioner) -> None:
         self.settings, self.robot = settings, robot
@@ -96,6 +103,7 @@ class Correction:
         self.limiter = OffsetLimiter(settings.limits, settings.period)
         self.counts = Counts()
         self.deflection: Deflection | None = None
+        self.preview: Preview | None = None
         self._ahead = _Lead(settings.lead, settings.lead_smoothing, settings.lead_limit)
         self._q = np.zeros(robot.n_joints)
         self._rail = 0.0
@@ -105,7 +113,7 @@ class Correction:
         self._R_tool = np.eye(3)
         self._oriented = self._kinematics is None
         self._wanted = np.zeros(6)
-        self._u = np.zeros(3)
+        self._u, self._turn = np.zeros(3), np.zeros(3)
         self._last_tick: float | None = None
 
     # -- model ---------------------------------------------------------------------------------------------------------
@@ -122,6 +130,7 @@ class Correction:
         if envelope is not None and len(envelope.q_lower) != self.robot.n_joints:
             raise ActivationError(f"the model's envelope has {len(envelope.q_lower)} joints, the robot has {self.robot.n_joints}")
         self.deflection = deflection if deflection is not None else Deflection(model, self.robot)
+        self.watchdog.clear("model")
         self.watchdog.envelope = envelope
         self.supervisor.restart_ramp(now, self.present, "another model was put in force")
 
@@ -137,37 +146,51 @@ class Correction:
         if self.supervisor.state is State.FAULT:
             self.supervisor.stop(now, self.present)
         self.deflection.reset()
+        self.watchdog.clear_errors()
         self.supervisor.start(now, self.present)
 
     def stop(self, now: float, reason: str = "stopped") -> None:
         """Fade out."""
         self.supervisor.stop(now, self.present, reason)
 
-    def restart(self, now: float) -> None:
-        """The robot has begun anew and applies no offset: begin at zero, ramp in again where it was running."""
-        self.limiter.reset()
-        self.supervisor.restart_ramp(now, self.present, "the robot has begun anew")
+    def fail(self, source: str, text: str) -> None:
+        """Something went wrong that no check has foreseen: hold, fade out, and wait for the operator to start again."""
+        self.watchdog.refuse(source, Fault.INTERNAL, text)
 
-    def settle(self, translation: Array, rotation: Array) -> None:
+    def set_limits(self, limits: OffsetLimits) -> None:
+        """Other limits from the next tick on."""
+        self.limiter.set_limits(limits)
+
+    def start_session(self, now: float) -> None:
+        """A new session of the robot, which applies no offset yet: begin at zero, ramp in again where it was running."""
+        self.limiter.reset()
+        self.supervisor.restart_ramp(now, self.present, "a new session of the robot has begun")
+
+    def resynchronise(self, translation: Array, rotation: Array) -> None:
         """The robot missed ticks and stands at this offset, (3,) m and (3,) rad: go on from there, from rest."""
-        self.limiter.settle(translation, rotation)
+        self.limiter.resynchronise(translation, rotation)
 
     # -- inputs --------------------------------------------------------------------------------------------------------
+
+    @property
+    def joint_angles(self) -> Array:
+        """The newest joint angles (k,), rad; zeros before the first."""
+        return self._q
 
     def take_wrench(self, stamp: float, now: float, frame: str, reading: Array, status: str = "") -> None:
         """One reading (6,), N and N m, in the frame that the conditioner expects; `status`: what the sensor itself complains
         of."""
         if status:
-            self.watchdog.refuse(Fault.SENSOR_STATUS, f"force sensor reports {status}")
+            self.watchdog.refuse("force sensor", Fault.SENSOR_STATUS, f"force sensor reports {status}")
         else:
-            self.watchdog.clear()
+            self.watchdog.clear("force sensor")
         if self.watchdog.accept_wrench(stamp, now, frame, reading) and self._oriented:
             self._wrench = self.conditioner.step(reading, self._R_tool)
 
     def take_joints(self, stamp: float, now: float, q: Array, rail_position: float = 0.0) -> None:
         """Joint angles (k,), rad, and the external axis, m."""
-        if self.watchdog.accept_joints(stamp, now, q):
-            self._q, self._rail = q, rail_position if math.isfinite(rail_position) else self._rail
+        if self.watchdog.accept_joints(stamp, now, q, rail_position):
+            self._q, self._rail = q, rail_position
             if self._kinematics is not None:
                 self._kinematics.update(q)
                 self._R_tool, self._oriented = self._kinematics.R_tool, True
@@ -181,16 +204,21 @@ class Correction:
         self._last_tick = now
         self.counts.ticks += 1
         self.counts.late += dt > 2.0 * period
+        if dt > HELD_UP and self.supervisor.state is not State.INACTIVE:
+            self.watchdog.note(Fault.HELD_UP, f"no tick for {dt:.2f} s: this process was held up, or the clock was set")
         finding: Finding | None = self.watchdog.finding(now, self._wrench)
         if finding is None and self.deflection is not None:
-            u, turn = self.deflection(self._q, self._wrench[:3], self._wrench[3:], min(max(dt, 0.0), period), self._rail)
-            self._u = u
+            finding = self._predict(self.deflection, min(max(dt, 0.0), period))
+        if finding is None and self.deflection is not None:
+            u, turn = self._u, self._turn
             if self._kinematics is None:
                 self._R_tool = self.deflection.R_tool
             wanted = np.concatenate([-u, -turn if self.settings.with_rotation else np.zeros(3)])
             self._wanted = self._ahead.step(wanted, dt)
         elif finding is not None:
             self._ahead.reset()
+            if self.preview is not None:
+                self.preview.reset()
         target = self.supervisor.tick(now, finding, self._wanted, self.present)
         self.counts.limited += self.limiter.step(target[:3], target[3:], dt)
         self.counts.held += self.supervisor.state is State.HOLD
@@ -198,6 +226,20 @@ class Correction:
             self.limiter.translation.value, self.limiter.rotation.value, self._u, self._wrench, self._R_tool,
             self.supervisor.state, self.supervisor.reason,
         )  # fmt: skip
+
+    def _predict(self, deflection: Deflection, dt: float) -> Finding | None:
+        """Deflection of now; a model that fails or gives no number is not asked again until the operator starts again."""
+        wrench = self._wrench if self.preview is None else self._wrench + self.preview.step(self._q)
+        try:
+            u, turn = deflection(self._q, wrench[:3], wrench[3:], dt, self._rail)
+            if math.isfinite(u.dot(u) + turn.dot(turn)):
+                self._u, self._turn = u, turn
+                return None
+            text = f"the model predicts {u.tolist()} m at the present joint angles and wrench"
+        except Exception as error:  # an effect of a user can raise anything
+            text = f"the model can't be evaluated: {type(error).__name__}: {error}"
+        self.watchdog.refuse("model", Fault.PREDICTION, f"{text}; put another one in force")
+        return self.watchdog.finding(self._last_tick or 0.0, self._wrench)
 
 
 class _Lead:

@@ -56,7 +56,7 @@ class VectorLimiter:
         self._velocity = np.zeros(3)
         self._target = np.zeros(3)
 
-    def settle(self, value: Array) -> None:
+    def resynchronise(self, value: Array) -> None:
         """The robot stands at a value (3,): go on from there, from rest."""
         self.value = value.copy()
         self._velocity = np.zeros(3)
@@ -89,7 +89,8 @@ class VectorLimiter:
         self._target = wanted.copy()
         change = _shortened(velocity - self._velocity, b.acceleration * dt)
         velocity = self._velocity + change
-        new = _shortened(self.value + velocity * dt, b.magnitude)
+        # a limit that was lowered under way is reached at the rate, not by a step
+        new = _shortened(self.value + velocity * dt, max(b.magnitude, _norm(self.value)))
         self._velocity = (new - self.value) / dt
         limited = limited or _norm(wanted - new) > ON_TARGET
         self.value = new
@@ -121,15 +122,19 @@ class OffsetLimiter:
         self.translation = VectorLimiter(limits.translation, period)
         self.rotation = VectorLimiter(limits.rotation, period)
 
+    def set_limits(self, limits: OffsetLimits) -> None:
+        """Other limits from the next tick on; an offset beyond them goes back at the rate."""
+        self.translation.bounds, self.rotation.bounds = limits.translation, limits.rotation
+
     def reset(self) -> None:
         """Begin at zero: only where nobody follows the offset just now."""
         for part in (self.translation, self.rotation):
             part.reset()
 
-    def settle(self, translation: Array, rotation: Array) -> None:
+    def resynchronise(self, translation: Array, rotation: Array) -> None:
         """The robot stands at this offset, (3,) m and (3,) rad: go on from there, from rest."""
-        self.translation.settle(translation)
-        self.rotation.settle(rotation)
+        self.translation.resynchronise(translation)
+        self.rotation.resynchronise(rotation)
 
     def step(self, translation: Array, rotation: Array, dt: float) -> bool:
         """One tick towards targets (3,) m and (3,) rad; dt, s. True where a limit was active."""

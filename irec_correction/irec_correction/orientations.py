@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 from irec_calibration.robot import Robot
-from irec_calibration.tool_load import ToolLoadFit, identify_tool_load
+from irec_calibration.sensors.tool_load import ToolLoadFit, identify_tool_load
 from irec_calibration.typing import Array
 
 from .errors import CorrectionError

@@ -7,6 +7,7 @@ spring three behind the last one. The Jacobian of that chain then holds actuated
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +16,10 @@ from irec_calibration.robot import Robot
 from irec_calibration.typing import Array
 
 BASE_SPRING, TOOL_SPRING = "base", "tool"
+BENDING_PLACES = "places"  # of link bending: shifts of each joint along its axis and along its virtual ones
+
+
+_SHIFTS = ("tz", "ta", "tb")  # behind the number of the joint
 
 
 @dataclass
@@ -22,9 +27,8 @@ class SpringChain:
     """Preallocated chain base_link .. tool0; not to be shared between threads.
 
     Attributes:
-        index: name of a drive (`joint_k`, k from 1), virtual axis (`joint_ka`, `joint_kb`), base spring (`base_t_x` ..
-            `base_r_z`)
-            or tool spring (`tool_x` ..) -> column of the Jacobian.
+        index: name of a drive (`joint_k`, k from 1), virtual axis (`joint_ka`, `joint_kb`), shift (`joint_ktz`, `joint_kta`,
+            `joint_ktb`), base spring (`base_t_x` .. `base_r_z`) or tool spring (`tool_x` ..) -> column of the Jacobian.
         n_joints: driven joints; n_columns: all.
     """
 
@@ -51,8 +55,14 @@ class SpringChain:
         pin.updateFramePlacement(self._model, self._data, self._tcp)
 
 
+def springs_with(columns: Iterable[str]) -> frozenset[str]:
+    """Which springs a chain must have so that it has these columns, named as in `SpringChain.index`."""
+    kinds = {c.partition("_")[0] if not c.endswith(_SHIFTS) else BENDING_PLACES for c in columns}
+    return frozenset(kinds & {BASE_SPRING, TOOL_SPRING, BENDING_PLACES})
+
+
 def build_chain(robot: Robot, springs: frozenset[str] = frozenset()) -> SpringChain:
-    """The chain of a robot with two virtual axes per joint and, where named in `springs`, base and tool springs."""
+    """The chain of a robot with two virtual axes per joint and, where named in `springs`, base and tool springs and shifts."""
     zero = np.zeros(robot.n_joints)
     kin = robot.kinematics(zero)
     model, parent, index = pin.Model(), 0, {}
@@ -74,6 +84,9 @@ def build_chain(robot: Robot, springs: frozenset[str] = frozenset()) -> SpringCh
         add(f"joint_{k + 1}", make(axis), here.actInv(there))
         for letter, direction in zip("ab", kin.virtual_in_joint[k], strict=True):
             add(f"joint_{k + 1}{letter}", pin.JointModelRevoluteUnaligned(direction), pin.SE3.Identity())
+        if BENDING_PLACES in springs:
+            for letter, direction in zip("zab", (axis, *kin.virtual_in_joint[k]), strict=True):
+                add(f"joint_{k + 1}t{letter}", pin.JointModelPrismaticUnaligned(direction), pin.SE3.Identity())
         here = there
     tool = pin.SE3(np.array(kin.R_tool[0]), np.array(kin.p_tcp[0]))
     behind_last = here.actInv(tool)

@@ -149,10 +149,10 @@ class Supervisor:
 
     def _while_fading(self, now: float, finding: Finding | None, present: Array, sound: bool) -> None:
         if self._stopped or self._lost:
-            gone = now - self._since >= self.times.fade and not np.any(np.abs(present) > GONE)
-            if gone and self._stopped:
+            faded = now - self._since >= self.times.fade and not np.any(np.abs(present) > ZERO_OFFSET)
+            if faded and self._stopped:
                 self._enter(State.INACTIVE, now, present, self.reason)
-            elif gone:
+            elif faded:
                 self._go(Event.FADED, now, present, self.reason)
         elif sound:
             self._go(Event.BACK, now, present, "back where the model holds")
@@ -193,7 +193,7 @@ class Supervisor:
         return np.zeros(6)
 
 
-GONE = 1e-8  # m or rad: an offset below this counts as zero
+ZERO_OFFSET = 1e-8  # m or rad: an offset below this counts as zero
 
 
 def _share(elapsed: float, duration: float) -> float:

@@ -35,6 +35,11 @@ class Fault(StrEnum):
     ROBOT_CHANGED = "robot_changed"
     OFFSET_STALE = "offset_stale"
     OFFSET_NOT_FINITE = "offset_not_finite"
+    OFFSET_FRAME = "offset_frame"
+    OFFSET_CLOCK = "offset_clock"
+    PREDICTION = "prediction"
+    INTERNAL = "internal"
+    HELD_UP = "held_up"
     OUTSIDE_JOINTS = "outside_joints"
     OUTSIDE_WRENCH = "outside_wrench"
 
@@ -63,7 +68,8 @@ class WatchdogSettings:
         wrench_timeout, joints_timeout: s since the last message came in.
         frozen_after: s during which the sensor repeats one reading to the last bit.
         force_jump, torque_jump: between two samples, N and N m. A step that lasts `jump_samples` samples is believed.
-        joint_speed_factor: joint jumps are steps above this times the velocity limit (plus `joint_jump`, rad).
+        joint_speed_factor: joint jumps are steps above this times the velocity limit (plus `joint_jump`, rad), over the time
+            since the last angles that were believed: a gap in the messages hides no jump.
         clock_tolerance: s, |stamp - now|.
         force_range, torque_range: of the sensor, any axis, N and N m.
         wrench_frame: frame_id that wrenches must have; empty: any.
@@ -112,6 +118,7 @@ class Watchdog:
         self._speed = np.where(np.isfinite(v) & (v > 0.0), v * settings.joint_speed_factor, np.inf)
         self.envelope: Envelope | None = None
         self.counters: Counter[Fault] = Counter()
+        self.newest: Finding | None = None  # that has begun, whether it still stands or not
         self._standing: Finding | None = None
         self.reset()
 
@@ -123,15 +130,25 @@ class Watchdog:
         self._suspect: Array | None = None
         self._suspect_count = 0
         self._q: Array | None = None
-        self._forced: Finding | None = None
+        self._refused: dict[str, Finding] = {}
 
-    def refuse(self, fault: Fault, text: str) -> None:
-        """A reason that somebody else found (sensor status, another robot). Stands until `clear` or `reset`."""
-        self._forced = Finding(fault, text)
+    def refuse(self, source: str, fault: Fault, text: str) -> None:
+        """A reason that somebody else found (status of the sensor, another robot). Stands until the same source is cleared."""
+        self._refused[source] = Finding(fault, text)
 
-    def clear(self) -> None:
-        """Take back what `refuse` said."""
-        self._forced = None
+    def clear(self, source: str) -> None:
+        """Take back what was refused for this source, and only that."""
+        self._refused.pop(source, None)
+
+    def clear_errors(self) -> None:
+        """Take back what only an operator can take back: internal errors and predictions that failed."""
+        for source in [s for s, f in self._refused.items() if f.fault in (Fault.INTERNAL, Fault.PREDICTION)]:
+            del self._refused[source]
+
+    def note(self, fault: Fault, text: str) -> None:
+        """Something that has passed already and that nothing follows from: counted and told."""
+        self.counters[fault] += 1
+        self.newest = Finding(fault, text)
 
     def accept_wrench(self, stamp: float, now: float, frame: str, reading: Array) -> bool:
         """Whether a reading (6,), N and N m, can be used. Times in s."""
@@ -189,10 +206,10 @@ class Watchdog:
             return Finding(fault, f"{what} is stamped {last - stamp:.4f} s before the one before it")
         return None
 
-    def accept_joints(self, stamp: float, now: float, q: Array) -> bool:
-        """Whether joint angles (k,), rad, can be used. Times in s."""
+    def accept_joints(self, stamp: float, now: float, q: Array, rail: float = 0.0) -> bool:
+        """Whether joint angles (k,), rad, and the external axis, m, can be used. Times in s."""
         j = self._joints
-        j.refused = self._joints_refused(stamp, now, q)
+        j.refused = self._joints_refused(stamp, now, q, rail)
         if j.refused is not None:
             j.follow_clock(j.refused, stamp)
             return False
@@ -200,22 +217,25 @@ class Watchdog:
         j.stamp, j.came_in = stamp, now
         return True
 
-    def _joints_refused(self, stamp: float, now: float, q: Array) -> Finding | None:
+    def _joints_refused(self, stamp: float, now: float, q: Array, rail: float) -> Finding | None:
         if len(q) != len(self._speed):
             return Finding(Fault.JOINTS_NAMES, f"{len(q)} joint angles came in, the robot has {len(self._speed)}")
         if not np.all(np.isfinite(q)):
             return Finding(Fault.JOINTS_NOT_FINITE, "joint angles hold NaN or infinity")
+        if not math.isfinite(rail):
+            return Finding(Fault.JOINTS_NOT_FINITE, f"the position of the rail is {rail}, a finite number is needed")
         clock = self._clock_refused(Fault.JOINTS_CLOCK, "joint state", self._joints.stamp, stamp, now)
         if clock is not None:
             return clock
-        if self._q is not None and now - self._joints.came_in <= self.settings.joints_timeout:
-            allowed = self._speed * (stamp - self._joints.stamp) + self.settings.joint_jump
+        if self._q is not None:
+            passed = stamp - self._joints.stamp
+            allowed = self._speed * passed + self.settings.joint_jump
             step = np.abs(q - self._q)
             k = int(np.argmax(step - allowed))
             if step[k] > allowed[k]:
                 return Finding(
                     Fault.JOINTS_JUMP,
-                    f"joint_{k + 1} jumped by {step[k]:.4f} rad in one sample, its speed allows {allowed[k]:.4f} rad",
+                    f"joint_{k + 1} jumped by {step[k]:.4f} rad in {1e3 * passed:.0f} ms, its speed allows {allowed[k]:.4f} rad",
                 )
         return None
 
@@ -228,13 +248,14 @@ class Watchdog:
         found = self._find(now, wrench_at_tcp)
         if found is not None and (self._standing is None or self._standing.fault is not found.fault):
             self.counters[found.fault] += 1
+            self.newest = found
         self._standing = found
         return found
 
     def _find(self, now: float, wrench_at_tcp: Array) -> Finding | None:
         s = self.settings
-        if self._forced is not None:
-            return self._forced
+        if self._refused:
+            return next(iter(self._refused.values()))
         for stream, fault, what, timeout in (
             (self._wrench, Fault.WRENCH_STALE, "wrench", s.wrench_timeout),
             (self._joints, Fault.JOINTS_STALE, "joint state", s.joints_timeout),

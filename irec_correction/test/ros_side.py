@@ -23,11 +23,11 @@ class RosSide:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
 
-    def hear(self, kind: Any, topic: str) -> list[Any]:
+    def collect(self, kind: Any, topic: str) -> list[Any]:
         """Messages of a topic as they come in."""
-        heard: list[Any] = []
-        self.node.create_subscription(kind, topic, heard.append, 50)
-        return heard
+        messages: list[Any] = []
+        self.node.create_subscription(kind, topic, messages.append, 50)
+        return messages
 
     def spin(self, timeout: float = 0.0) -> None:
         """Whatever has come in."""

@@ -118,12 +118,17 @@ class Running:
 
     def __init__(self, settings: ReaderSettings) -> None:
         self.readings: list = []
+        self.stamped: list = []
         self.going = True
-        self.reader = SensorReader(settings, lambda reading, now: self.readings.append(reading))
+        self.reader = SensorReader(settings, self.deliver)
         self.thread = threading.Thread(target=self.reader.run, args=(lambda: self.going,))
         self.thread.start()
 
-    def until(self, condition, seconds: float = 10.0) -> None:
+    def deliver(self, reading, now: float) -> None:
+        self.stamped.append((reading, now))
+        self.readings.append(reading)
+
+    def until(self, condition, seconds: float = 30.0) -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, self.reader.counts
@@ -194,3 +199,116 @@ def test_over_a_serial_adapter_the_reader_survives_that_it_is_unplugged():
     adapter.unplug()
     running.until(lambda: running.reader.counts.bus_failures > 0)
     running.close()
+
+
+class Sluggish(NetFtCan):
+    """A sensor whose next answers come some periods late, or whose bus carries frames of others."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda: LOAD)
+        self.hold_back: list[float] = []  # s, of the next answers
+        self.asked: list[float] = []
+
+    def answer(self, identifier, data):
+        frames = super().answer(identifier, data)
+        if frames:
+            self.asked.append(time.monotonic())
+            if self.hold_back:
+                time.sleep(self.hold_back.pop(0))
+        return frames
+
+
+@pytest.fixture
+def sluggish():
+    import can
+
+    channel = uuid.uuid4().hex
+    sensor, going = Sluggish(), [True]
+    buses = [can.Bus(interface="virtual", channel=channel) for _ in range(2)]
+    thread = threading.Thread(target=serve, args=(sensor, buses[0], lambda: going[0]))
+    thread.start()
+    running = Running(ReaderSettings(Bus("virtual", channel), rate=20.0))
+    yield sensor, running, buses[1]
+    running.close()
+    going[0] = False
+    thread.join(5.0)
+    for bus in buses:
+        bus.shutdown()
+
+
+def age(sensor: Sluggish, running: Running) -> float:
+    """Between the request that made the sensor sample and the time that the reading is passed on with, s."""
+    reading, stamp = running.stamped[-1]
+    sampled = reading.sample / 7000.0
+    return stamp - sampled
+
+
+def test_a_late_answer_is_passed_on_with_the_time_of_its_request_and_the_next_ones_are_new_again(sluggish):
+    sensor, running, _ = sluggish
+    running.until(lambda: len(running.readings) > 3)
+    sensor.hold_back = [0.07]  # 1.4 periods
+    running.until(lambda: running.reader.counts.late == 1)
+    assert age(sensor, running) < 0.05
+    read = len(running.readings)
+    running.until(lambda: len(running.readings) > read + 5)
+    assert age(sensor, running) < 0.05, "no reading is a period old"
+
+
+def test_a_second_device_that_asks_makes_no_reading_old_and_is_counted(sluggish):
+    import can
+
+    sensor, running, other = sluggish
+    running.until(lambda: len(running.readings) > 3)
+    for _ in range(10):
+        for what in (b"\x01", b"\x01", b"\x01"):
+            other.send(can.Message(arbitration_id=0x40, data=what, is_extended_id=False))
+        read = len(running.readings)
+        running.until(lambda read=read: len(running.readings) > read)
+    assert age(sensor, running) < 0.1
+    counts = running.reader.counts
+    assert counts.foreign_requests == 30 and counts.unrequested > 5
+    other.send(can.Message(arbitration_id=0x40, data=b"\x04", is_extended_id=False))
+    running.until(lambda: counts.foreign_bias == 1)
+
+
+def test_error_remote_and_extended_frames_are_no_data(sluggish):
+    import can
+
+    sensor, running, other = sluggish
+    running.until(lambda: len(running.readings) > 3)
+    for kind in ({"is_error_frame": True}, {"is_remote_frame": True}, {"is_extended_id": True}):
+        for part in range(1, 5):
+            given = {"is_extended_id": False, **kind}
+            data = {} if "is_remote_frame" in kind else {"data": b"\x7f" * 8}
+            other.send(can.Message(arbitration_id=0x40 + part, **data, **given))
+    read = len(running.readings)
+    running.until(lambda: len(running.readings) > read + 3)
+    assert running.reader.counts.ignored > 0
+    assert max(np.abs(r.wrench).max() for r in running.readings) < 1000.0
+
+
+def test_frames_of_two_answers_make_no_reading():
+    sensor, assembler = NetFtCan(lambda: LOAD), Assembler(0x40, CALIBRATION)
+    first, second = sensor.answer(0x40, b"\x01"), sensor.answer(0x40, b"\x01")
+    assert [assembler.take(*f) for f in (first[0], first[1], first[3], *second[2:])] == [None] * 5
+    assert assembler.incomplete
+
+
+frames = st.tuples(st.integers(0x3F, 0x48), st.binary(max_size=8))
+
+
+@given(st.lists(frames, max_size=40), st.booleans())
+def test_whatever_frames_come_a_reading_is_made_of_one_whole_answer_in_order(sequence, short):
+    assembler = Assembler(0x40, CALIBRATION, short)
+    first, size = (0x45, 2) if short else (0x41, 4)
+    ours: list[int] = []
+    for identifier, data in sequence:
+        try:
+            reading = assembler.take(identifier, data)
+        except ProtocolError:
+            continue
+        if first <= identifier < first + size:
+            ours.append(identifier)
+        if reading is not None:
+            assert ours[-size:] == list(range(first, first + size))
+            assert np.all(np.isfinite(reading.wrench))

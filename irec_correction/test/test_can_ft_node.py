@@ -64,12 +64,53 @@ def test_readings_come_as_messages_and_in_shared_memory_and_bias_takes_them_as_z
         adapter.unplug()
 
 
+def test_the_lifecycle_opens_the_bus_passes_on_and_frees_it_twice_over(ros_domain, start_process):
+    from geometry_msgs.msg import WrenchStamped
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+    from ros_side import RosSide
+
+    adapter = SlcanAdapter(NetFtCan(lambda: LOAD))
+    name = f"irec_test_{uuid.uuid4().hex}"
+    start_process([
+        sys.executable, "-m", "irec_correction.nodes.can_ft_node", "--ros-args", "-p", "interface:=slcan", "-p",
+        f"channel:={adapter.channel}", "-p", "rate:=50.0", "-p", f"block:={name}", "-p", "autostart:=false",
+    ], name="can_ft_node")  # fmt: skip
+    watcher = RosSide("watcher")
+    seen = watcher.collect(WrenchStamped, "wrench_raw")
+
+    def change(transition: int) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(watcher.call(ChangeState, "can_ft_node/change_state", request).success)
+
+    try:
+        for _ in range(2):
+            with pytest.raises(CorrectionError):
+                SharedValues.attach(name, WRENCH_SIZE)
+            assert change(Transition.TRANSITION_CONFIGURE)
+            assert change(Transition.TRANSITION_ACTIVATE)
+            begun = len(seen)
+            watcher.until(lambda b=begun: len(seen) > b + 5, "wrench")
+            assert change(Transition.TRANSITION_DEACTIVATE)
+            block, values = SharedValues.attach(name, WRENCH_SIZE), np.zeros(WRENCH_SIZE)
+            block.read(values)
+            last = values[0]
+            time.sleep(0.5)  # what is tested is that time passes without a reading
+            block.read(values)
+            assert values[0] == last, "nothing is passed on while inactive"
+            block.close()
+            assert change(Transition.TRANSITION_CLEANUP)
+    finally:
+        watcher.close()
+        adapter.unplug()
+
+
 def test_a_bus_that_is_not_there_ends_the_node_with_its_name(ros_domain, start_process, tmp_path):
     process = start_process([
         sys.executable, "-m", "irec_correction.nodes.can_ft_node", "--ros-args", "-p", "interface:=slcan",
         "-p", "channel:=/dev/not_there",
     ], name="refused")  # fmt: skip
-    assert process.wait(60) == 2
+    assert process.wait(180) == 2
     said = (tmp_path / "refused.log").read_text()
     assert "/dev/not_there" in said
     assert "Traceback" not in said

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from irec_calibration.robot import Robot
-from irec_calibration.tool_load import ToolLoad
+from irec_calibration.sensors.tool_load import ToolLoad
 from irec_correction.conditioning import (
     Cable,
     Conditioner,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -153,6 +154,27 @@ def test_a_joint_that_moves_faster_than_it_can_is_not_believed():
     assert rig.correction.watchdog.counters[Fault.JOINTS_JUMP] == 1
 
 
+def test_a_gap_in_the_joint_states_hides_no_jump_that_the_joint_could_not_have_made():
+    rig = Rig().active()
+    before = rig.q
+    rig.run(0.1, joints=False)
+    assert rig.outputs[-1].state is State.HOLD
+    rig.q = before + [0, 0, 0, 1.0, 0, 0]
+    rig.run(2 * PERIOD)
+    assert rig.outputs[-1].state is State.HOLD
+    assert "joint_4 jumped by 1.0000 rad" in rig.correction.watchdog.newest.text
+
+
+def test_after_a_gap_a_joint_is_believed_where_it_can_have_got_to():
+    rig = Rig().active()
+    before = rig.q
+    rig.run(0.1, joints=False)
+    rig.q = before + [0, 0, 0, 0.1, 0, 0]
+    rig.run(1.0)
+    assert rig.outputs[-1].state is State.ACTIVE
+    assert not rig.correction.watchdog.counters[Fault.JOINTS_JUMP]
+
+
 def test_a_wrench_in_the_wrong_frame_is_refused_by_name():
     wanted = replace(CorrectionSettings().watchdog, wrench_frame="ft_sensor")
     rig = Rig(watchdog=wanted)
@@ -161,6 +183,15 @@ def test_a_wrench_in_the_wrong_frame_is_refused_by_name():
     rig.run(0.1)
     assert rig.outputs[-1].state is State.HOLD
     assert "'tool0'" in rig.outputs[-1].reason and "'ft_sensor'" in rig.outputs[-1].reason
+
+
+def test_a_process_that_was_held_up_says_so_afterwards():
+    rig = Rig().active()
+    assert Fault.HELD_UP not in rig.correction.watchdog.counters
+    rig.now += 2.5
+    rig.run(1.0)
+    assert rig.outputs[-1].state is State.ACTIVE and rig.largest_step <= STEP
+    assert rig.correction.watchdog.counters[Fault.HELD_UP] == 1
 
 
 def test_another_model_blends_over_without_a_step():
@@ -274,7 +305,7 @@ def test_whatever_happens_no_offset_step_is_above_the_rate_limit(sequence):
 
 
 def test_a_raw_reading_is_freed_of_the_tools_weight_at_the_orientation_of_its_own_time():
-    from irec_calibration.tool_load import ToolLoad
+    from irec_calibration.sensors.tool_load import ToolLoad
     from irec_correction.conditioning import Conditioner, sensor_in_tool, to_tcp
 
     load = ToolLoad(120.0, (0.0, 0.01, 0.2), (18.0, -11.0, 25.0), (1.2, -0.8, 0.5))
@@ -290,3 +321,68 @@ def test_a_raw_reading_is_freed_of_the_tools_weight_at_the_orientation_of_its_ow
         correction.take_wrench(now, now, "ft_sensor", reading)
         out = correction.tick(now)
         np.testing.assert_allclose(out.wrench_at_tcp, to_tcp(process, R_sensor, p_sensor), atol=1e-9)
+
+
+def test_another_robot_stays_refused_while_healthy_wrenches_come_in():
+    rig = Rig().active()
+    rig.correction.watchdog.refuse("robot_description", Fault.ROBOT_CHANGED, "robot_description is another one")
+    rig.run(LONG)
+    assert rig.outputs[-1].state is State.FAULT
+    assert "robot_description" in rig.outputs[-1].reason
+    assert not np.any(np.abs(rig.outputs[-1].translation) > 1e-8)
+    rig.correction.watchdog.clear("robot_description")
+    assert rig.active().outputs[-1].state is State.ACTIVE
+
+
+@pytest.mark.parametrize("broken", ["raises", "gives NaN"])
+def test_a_model_that_fails_under_way_fades_out_without_a_step_until_the_operator_starts_again(broken, monkeypatch):
+    rig = Rig().active()
+    sound = rig.correction.deflection
+
+    def fail(*arguments):
+        if broken == "raises":
+            raise ValueError("math domain error")
+        return np.full(3, np.nan), np.zeros(3)
+
+    rig.correction.deflection = fail
+    rig.run(LONG)
+    assert rig.outputs[-1].state is State.FAULT
+    assert rig.correction.watchdog.counters[Fault.PREDICTION] == 1
+    assert rig.largest_step <= STEP and not np.any(np.abs(rig.sent[-1]) > 1e-8)
+    rig.correction.deflection = sound
+    assert rig.active().outputs[-1].state is State.ACTIVE
+
+
+def test_an_internal_error_fades_out_and_waits_for_the_operator():
+    rig = Rig().active()
+    rig.correction.fail("topic wrench", "ValueError: something")
+    rig.run(LONG)
+    assert rig.outputs[-1].state is State.FAULT and "something" in rig.outputs[-1].reason
+    assert rig.active().outputs[-1].state is State.ACTIVE
+
+
+def test_a_limit_that_is_lowered_while_the_offset_is_beyond_it_is_reached_without_a_step():
+    rig = Rig().active()
+    before = np.linalg.norm(rig.sent[-1])
+    limits = rig.settings.limits
+    rig.correction.set_limits(replace(limits, translation=replace(limits.translation, magnitude=0.5 * before)))
+    rig.run(1.0)
+    assert np.linalg.norm(rig.sent[-1]) == pytest.approx(0.5 * before, rel=1e-3)
+    assert rig.largest_step <= STEP
+    rig.correction.set_limits(limits)
+    rig.run(1.0)
+    assert np.linalg.norm(rig.sent[-1]) == pytest.approx(before, abs=1e-5)
+
+
+@pytest.mark.parametrize("rail", [math.nan, math.inf])
+def test_a_rail_position_that_is_no_number_is_held_and_named(rail: float) -> None:
+    rig = Rig().active()
+    before = rig.correction.present.copy()
+    for _ in range(10):
+        rig.now += PERIOD
+        rig.correction.take_joints(rig.now, rig.now, rig.q, rail)
+        rig.correction.take_wrench(rig.now, rig.now, "tool0", rig.wrench + rig.rng.normal(0, 1, 6))
+        rig.tick()
+    assert rig.outputs[-1].state is State.HOLD
+    assert f"the position of the rail is {rail}" in rig.outputs[-1].reason
+    np.testing.assert_allclose(rig.correction.present, before, atol=1e-5)

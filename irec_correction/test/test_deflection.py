@@ -3,66 +3,52 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from irec_calibration.effects import find_effect
+from irec_calibration.effects import Effect, Parameter, find_effect
 from irec_calibration.effects.formula import FormulaEffect
-from irec_calibration.model import Estimate, Model, Term
+from irec_calibration.effects.production import LOADED, at, production_scene
+from irec_calibration.effects.scene import Scene
+from irec_calibration.model import Estimate, Model, Term, total_displacement
 from irec_calibration.robot import Robot
-from irec_correction.deflection import COMPILED, Deflection
+from irec_correction.deflection import Deflection
 from irec_correction.errors import ActivationError
-from irec_correction.user_terms import _two_rows
 
 ROBOT = Robot.from_urdf(Path(__file__).parents[2] / "config/robots/kr120_r2700_extra_ha.urdf")
 angles = st.tuples(*(st.floats(lo, hi) for lo, hi in ((-1, 1), (-2, -0.8), (0.6, 2), (-2, 2), (-1.5, 1.5), (-2, 2))))
 forces = st.tuples(*(st.floats(-1500, 1500) for _ in range(3)))
 torques = st.tuples(*(st.floats(-100, 100) for _ in range(3)))
-HISTORY = {"joint_backlash", "joint_hysteresis", "creep"}
-ONLY_IN_PRODUCTION = {"sensor_gain", "sensor_alignment", "tool_weight"}
+DOWN = np.array([0.0, 0.0, -9.81])
+
+
+def rows_at(q: np.ndarray, force: np.ndarray, torque: np.ndarray, rail: float = 0.7) -> Scene:
+    """One pose without and with a process force, the TCP and points beside it."""
+    scene = at(production_scene(ROBOT, DOWN), q, rail)
+    return scene.with_wrench(np.outer(LOADED, force), np.outer(LOADED, torque))
 
 
 def model_of(*effects: str, seed: int = 1) -> Model:
     rng = np.random.default_rng(seed)
-    scene = replace(_two_rows(ROBOT), ext={"rail": np.array([0.7, 0.7])})
+    scene = rows_at(np.array([0.3, -1.4, 1.5, 0.2, 0.6, 0.1]), np.ones(3), np.ones(3))
     terms = []
     for name in effects:
-        effect = find_effect(name)
-        values = {
-            p.name: Estimate(p.start if p.grid else float(np.clip(p.scale * rng.uniform(0.3, 1.0), p.lower, p.upper)))
-            for p in effect.parameters(scene)
-        }
+        effect = FormulaEffect("mine", name) if ":" in name else find_effect(name)
+        values = {p.name: Estimate(_some_value(p, rng)) for p in effect.parameters(scene)}
         terms.append(Term(effect, values))
     return Model(tuple(terms))
 
 
+def _some_value(p: Parameter, rng: np.random.Generator) -> float:
+    size = p.scale * rng.uniform(0.3, 1.0) * (1.0 if p.upper > 0.0 else -1.0)
+    return float(rng.choice(p.grid) if p.grid else np.clip(size, p.lower, p.upper))
+
+
 def by_calibration(model: Model, q: np.ndarray, force: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    rows = _two_rows(ROBOT)
-    both = np.stack([q, q])
-    kin = ROBOT.kinematics(both)
-    scene = replace(
-        rows, q=both, kin=kin, p_tcp=kin.p_tcp, p_observed=kin.p_tcp, force_in_tool=np.stack([0 * force, force]),
-        torque_in_tool=np.stack([0 * torque, torque]), tau_gravity=ROBOT.gravity_torque(both), ext={"rail": np.array([0.7, 0.7])},
-        _cache={},
-    )  # fmt: skip
-    return model.predict(scene)[1]
-
-
-@pytest.mark.parametrize("effects", [
-    ("joint_torsion",), ("joint_torsion", "link_bending"), ("tool_compliance",), ("base_compliance",), ("rail_compliance",),
-    ("joint_coupling",), ("counterbalance",), ("joint_stiffening",), tuple(sorted(COMPILED - HISTORY - ONLY_IN_PRODUCTION)),
-])  # fmt: skip
-@settings(max_examples=15, deadline=None)
-@given(q=angles, force=forces, torque=torques)
-def test_compiled_deflection_is_that_of_the_model(effects, q, force, torque):
-    model = model_of(*effects)
-    q, force, torque = map(np.array, (q, force, torque))
-    translation, _ = Deflection(model, ROBOT)(q, force, torque, 0.004, rail_position=0.7)
-    np.testing.assert_allclose(translation, by_calibration(model, q, force, torque), rtol=1e-9, atol=1e-12)
+    return model.predict(rows_at(q, force, torque))[len(LOADED) // 2]
 
 
 @settings(max_examples=20, deadline=None)
@@ -71,16 +57,10 @@ def test_rotation_turns_a_point_of_the_tool_as_the_translation_of_that_point_say
     model = model_of("joint_torsion", "link_bending", "base_compliance")
     q, force, torque = map(np.array, (q, force, torque))
     translation, rotation = Deflection(model, ROBOT)(q, force, torque, 0.004)
-    from irec_calibration.model import total_displacement
-
-    both = np.stack([q, q])
-    kin = ROBOT.kinematics(both)
     arm = np.array([0.1, -0.2, 0.3])
-    scene = replace(
-        _two_rows(ROBOT), q=both, kin=kin, p_tcp=kin.p_tcp, p_observed=kin.p_tcp + arm,
-        force_in_tool=np.stack([0 * force, force]), torque_in_tool=np.stack([0 * torque, torque]), _cache={},
-    )  # fmt: skip
-    np.testing.assert_allclose(translation + np.cross(rotation, arm), total_displacement(model.terms, scene)[1], atol=1e-12)
+    scene = rows_at(q, force, torque)
+    scene = scene.seen_at(scene.p_tcp + arm)
+    np.testing.assert_allclose(translation + np.cross(rotation, arm), total_displacement(model.terms, scene)[-1], atol=1e-12)
 
 
 def test_instance_gives_the_same_answer_whatever_pose_came_before():
@@ -113,15 +93,14 @@ def test_backlash_moves_the_joint_by_its_play_when_the_torque_changes_sign():
     np.testing.assert_allclose(np.linalg.norm(one - other), 2e-4 * np.linalg.norm(kin.jacobian(kin.p_tcp)[0][:, 0]), rtol=1e-9)
 
 
-def test_noise_about_zero_torque_does_not_switch_the_side_of_the_backlash():
+def test_backlash_moves_nothing_without_load_where_gravity_does_not_preload_the_axis():
     deflection, q, direction, lever = backlash_case()
-    deflection(q, 300 * direction, np.zeros(3), 0.004)
-    rng = np.random.default_rng(3)
-    answers = [deflection(q, rng.normal(0, 2.0) * direction, np.zeros(3), 0.004)[0] for _ in range(500)]
-    assert np.ptp(np.array(answers), axis=0).max() == 0.0
+    np.testing.assert_allclose(deflection(q, np.zeros(3), np.zeros(3), 0.004)[0], 0.0, atol=1e-15)
+    forth, back = (deflection(q, sign * 300 * direction, np.zeros(3), 0.004)[0] for sign in (1, -1))
+    np.testing.assert_allclose(forth, -back, rtol=1e-6)
 
 
-def test_hysteresis_keeps_deflection_after_the_load_is_gone_until_it_is_reset():
+def test_hysteresis_holds_back_after_the_load_is_gone_until_it_is_reset():
     model = Model((Term(find_effect("joint_hysteresis"), {"h_1": Estimate(1e-7), "r": Estimate(0.01)}),))
     deflection = Deflection(model, ROBOT)
     q, direction = backlash_case()[1:3]
@@ -163,7 +142,7 @@ def test_effects_that_do_not_depend_on_the_force_are_left_out_with_a_reason():
 def test_an_effect_of_the_user_acts_through_its_own_displacement():
     formula = FormulaEffect("mine", "axis 3: c * tau * abs(tau)")
     terms = model_of("joint_torsion").terms
-    mine = Term(formula, {p.name: Estimate(3e-11) for p in formula.parameters(_two_rows(ROBOT))})
+    mine = Term(formula, {p.name: Estimate(3e-11) for p in formula.parameters(production_scene(ROBOT, DOWN))})
     model = Model((*terms, mine))
     q, force = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3]), np.array([100.0, -50.0, -900.0])
     np.testing.assert_allclose(
@@ -171,10 +150,39 @@ def test_an_effect_of_the_user_acts_through_its_own_displacement():
     )
 
 
+def test_rotation_by_an_effect_of_the_user_is_that_of_its_joint():
+    model = Model((Term(FormulaEffect("mine", "axis 3: c * tau"), {"c": Estimate(1e-7)}),))
+    q, force = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3]), np.array([100.0, -50.0, -900.0])
+    as_torsion = Model((Term(find_effect("joint_torsion"), {"c_3": Estimate(1e-7)}),))
+    for mine, theirs in zip(Deflection(model, ROBOT)(q, force, np.ones(3), 0.004),
+                            Deflection(as_torsion, ROBOT)(q, force, np.ones(3), 0.004), strict=True):  # fmt: skip
+        np.testing.assert_allclose(mine, theirs, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("formula", "word"), [("axis 2: c * tau * dwell", "time"), ("axis 2: c * tau * temp_gear", "temperature")]
+)
+def test_a_formula_that_needs_what_production_does_not_have_is_refused_with_advice(formula, word):
+    model = Model((Term(FormulaEffect("mine", formula), {"c": Estimate(1e-9)}),))
+    with pytest.raises(ActivationError, match=f"mine.*{word}.*live"):
+        Deflection(model, ROBOT)
+
+
+@pytest.mark.parametrize("formula", ["axis 2: c * sin(q)", "base x: v * t", "tool z: k * temp_spindle"])
+def test_a_formula_without_the_process_force_has_no_part_in_the_correction(formula):
+    assert "mine" in Deflection(Model((Term(FormulaEffect("mine", formula)),)), ROBOT).left_out
+
+
 def test_an_effect_of_the_user_that_needs_time_is_refused():
-    class Late(type(find_effect("joint_torsion"))):
-        id = "late"
+    class Late(Effect):
+        id = label = physics = "late"
         needs = ("time",)
+
+        def parameters(self, scene):
+            return (Parameter("v", "m/(N s)", 1e-6),)
+
+        def regressor(self, scene, theta):
+            return (scene.force * scene.stamp[:, None])[:, :, None]
 
     with pytest.raises(ActivationError, match="late.*time"):
         Deflection(Model((Term(Late()),)), ROBOT)

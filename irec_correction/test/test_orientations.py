@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from chain import ROBOT, Q
 from irec_calibration.errors import SolveError
-from irec_calibration.tool_load import ToolLoad
+from irec_calibration.sensors.tool_load import ToolLoad
 from irec_correction.conditioning import sensor_in_tool
 from irec_correction.errors import CorrectionError
 from irec_correction.orientations import Orientations

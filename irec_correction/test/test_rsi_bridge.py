@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from chain import PERIOD, ROBOT, WRENCH, Q, model
 from irec_calibration.cell import read_cell
-from irec_calibration.model_file import save_model
+from irec_calibration.model.file import save_model
 from irec_correction.deflection import Deflection
 from irec_correction.shared import WRENCH_SIZE, SharedValues
 from irec_sim.devices.rsi_controller import RobotState, RsiController
@@ -148,9 +148,9 @@ def test_the_service_checks_robot_and_tool_and_the_node_tells_wrench_deflection_
     from irec_msgs.msg import CorrectionState
     from irec_msgs.srv import ActivateModel
 
-    states = watcher.hear(CorrectionState, "irec/correction/state")
-    processed = watcher.hear(WrenchStamped, "irec/wrench_process")
-    told = watcher.hear(DiagnosticArray, "/diagnostics")
+    states = watcher.collect(CorrectionState, "irec/correction/state")
+    processed = watcher.collect(WrenchStamped, "irec/wrench_process")
+    told = watcher.collect(DiagnosticArray, "/diagnostics")
     start_bridge(start_process, drive, wrench_block=drive.block.name, tool="spindle")
     drive.wait_for_bridge()
 
@@ -194,9 +194,11 @@ def test_offsets_of_a_topic_are_followed_then_held_and_faded_when_they_stop(driv
     from irec_msgs.msg import CorrectionState
 
     out = watcher.node.create_publisher(TransformStamped, "irec/offset", 50)
-    states = watcher.hear(CorrectionState, "rsi_bridge/state")
+    states = watcher.collect(CorrectionState, "rsi_bridge/state")
     start_bridge(start_process, drive, source="offset_topic", offset_timeout=0.5)
     drive.wait_for_bridge()
+    watcher.until(lambda: len(states) > 5, "states before the first offset", each=drive.cycles)
+    assert states[-1].state == CorrectionState.INACTIVE and "first offset" in states[-1].reason
     message, frame = TransformStamped(), ["base_link"]
     message.transform.rotation.w = 1.0
     t = message.transform.translation
@@ -213,19 +215,113 @@ def test_offsets_of_a_topic_are_followed_then_held_and_faded_when_they_stop(driv
 
     watcher.until(arrived, "offset of the topic", each=cell)
     assert states[-1].state in (CorrectionState.RAMP_IN, CorrectionState.ACTIVE)
-    frame[0] = "tool0"  # as if nothing came
+    frame[0] = "tool0"
     watcher.until(lambda: states[-1].state == CorrectionState.FAULT, "fault", each=cell)
-    assert "no offset" in states[-1].reason
+    assert "'tool0'" in states[-1].reason
     drive.until(lambda: np.linalg.norm(drive.sent[-1]) < 2e-7, 10.0, "offset faded out")
+    frame[0] = "base_link"
+    t.x = t.y = t.z = 0.0  # as a correction node does that is activated again
+    watcher.until(lambda: states[-1].state == CorrectionState.ACTIVE, "start after the fault", each=cell)
+    assert drive.largest_step <= STEP
+
+
+@pytest.mark.parametrize(("wrong", "text"), [("frame", "'base_link'"), ("stamp", "from now")])
+def test_a_wrench_by_topic_in_another_frame_or_of_another_time_is_not_used(drive, watcher, start_process, tmp_path, wrong, text):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import WrenchStamped
+
+    from irec_msgs.msg import CorrectionState
+
+    out = watcher.node.create_publisher(WrenchStamped, "wrench", 50)
+    states = watcher.collect(CorrectionState, "irec/correction/state")
+    told = watcher.collect(DiagnosticArray, "/diagnostics")
+    start_bridge(start_process, drive, model_path=model_of_cell(tmp_path), **{"watch.clock_tolerance": 5.0})
+    drive.wait_for_bridge()
+    message, sound = WrenchStamped(), [True]
+
+    def cell() -> None:
+        w = (WRENCH + drive.rng.normal(0, 0.2, 6)).tolist()
+        f, m = message.wrench.force, message.wrench.torque
+        f.x, f.y, f.z, m.x, m.y, m.z = w
+        message.header.frame_id = "tool0" if sound[0] or wrong == "stamp" else "base_link"
+        message.header.stamp = watcher.node.get_clock().now().to_msg()
+        if wrong == "stamp" and not sound[0]:
+            message.header.stamp.sec = 0
+        out.publish(message)
+        drive.cycles()
+
+    watcher.until(lambda: states and states[-1].state == CorrectionState.ACTIVE, "ACTIVE", each=cell)
+    sound[0] = False
+    watcher.until(lambda: states[-1].state == CorrectionState.FAULT, "fault", each=cell)
+    assert text in states[-1].reason
+    assert any(text in s.message for m in told for s in m.status)
+    assert drive.largest_step <= STEP
+
+
+def test_the_lifecycle_opens_the_port_sends_offsets_fades_them_and_frees_the_port_twice_over(
+    drive, watcher, start_process, tmp_path
+):
+    from lifecycle_msgs.msg import State, Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+
+    def change(transition: int, each: Callable[[], None] | None = drive.cycles) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(watcher.call(ChangeState, "rsi_bridge/change_state", request, each).success)
+
+    def state() -> int:
+        return int(watcher.call(GetState, "rsi_bridge/get_state", GetState.Request()).current_state.id)
+
+    path = model_of_cell(tmp_path)
+    bridge = start_bridge(start_process, drive, autostart="false", wrench_block=drive.block.name, model_path=path)
+    assert state() == State.PRIMARY_STATE_UNCONFIGURED
+    expected, _ = Deflection(model(), ROBOT)(Q, WRENCH[:3], WRENCH[3:], PERIOD)
+    for _ in range(2):
+        assert not listening(drive.port)
+        assert change(Transition.TRANSITION_CONFIGURE, each=None)  # RSI is started when there is somebody to answer
+        drive.wait_for_bridge()
+        drive.controller.start_again()
+        answered = drive.controller.counts.answered
+        drive.until(lambda a=answered: drive.controller.counts.answered > a + 50, 10.0, "answers while inactive")
+        assert np.linalg.norm(drive.sent[-1]) < 1e-7
+        assert change(Transition.TRANSITION_ACTIVATE)
+        drive.until(lambda: np.linalg.norm(drive.sent[-1] + expected) < 3e-6, START, "offset of the model")
+        assert change(Transition.TRANSITION_DEACTIVATE)
+        drive.until(lambda: np.linalg.norm(drive.sent[-1]) < 1e-7, 10.0, "offset faded out")
+        assert change(Transition.TRANSITION_CLEANUP)
+        assert state() == State.PRIMARY_STATE_UNCONFIGURED
+        drive.until(lambda: not listening(drive.port), 10.0, "free port")
+    assert drive.largest_step <= STEP
+    bridge.send_signal(signal.SIGINT)
+    assert bridge.wait(10) == 0
+
+
+def test_after_a_fault_activate_is_what_the_operator_can_ask_for(drive, watcher, start_process, tmp_path):
+    from lifecycle_msgs.msg import State, Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+
+    def state() -> int:
+        return int(watcher.call(GetState, "rsi_bridge/get_state", GetState.Request(), drive.cycles).current_state.id)
+
+    start_bridge(start_process, drive, wrench_block=drive.block.name, model_path=model_of_cell(tmp_path))
+    drive.wait_for_bridge()
+    drive.until(lambda: np.linalg.norm(drive.sent[-1]) > 5e-4, START, "offset")
+    assert state() == State.PRIMARY_STATE_ACTIVE
+    drive.sensor_works = False
+    watcher.until(lambda: state() == State.PRIMARY_STATE_INACTIVE, "the node deactivates itself", each=drive.cycles)
+    drive.sensor_works = True
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
+    assert watcher.call(ChangeState, "rsi_bridge/change_state", request, drive.cycles).success
+    drive.until(lambda: np.linalg.norm(drive.sent[-1]) > 5e-4, START, "offset after the fault")
+    assert state() == State.PRIMARY_STATE_ACTIVE
     assert drive.largest_step <= STEP
 
 
 def test_a_bridge_without_a_cell_refuses_and_says_so(ros_domain, start_process, tmp_path):
     bridge = start_process([sys.executable, "-m", "irec_correction.nodes.rsi_bridge"], name="refused")
-    assert bridge.wait(60) == 2
+    assert bridge.wait(2 * START) == 2
     assert "cell" in (tmp_path / "refused.log").read_text()
 
 
 def test_a_cycle_time_that_rsi_does_not_have_is_refused(drive, ros_domain, start_process, tmp_path):
-    assert start_bridge(start_process, drive, cycle_ms=8).wait(60) == 2
+    assert start_bridge(start_process, drive, cycle_ms=8).wait(2 * START) == 2
     assert "cycle_ms" in (tmp_path / "rsi_bridge.log").read_text()

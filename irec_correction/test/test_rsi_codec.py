@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_correction.errors import ProtocolError
-from irec_correction.rsi.codec import abc_of_rotation_vector, decode_robot, encode_reply
+from irec_correction.rsi.codec import abc_of_rotation_vector, decode_robot, encode_reply, stamp_of
 from scipy.spatial.transform import Rotation
 
 FROM_CONTROLLER = (
@@ -61,3 +61,34 @@ def test_abc_is_the_rotation_about_z_then_y_then_x(v):
     rotation = Rotation.from_rotvec(v)
     again = Rotation.from_euler("ZYX", abc_of_rotation_vector(np.array(v)))
     assert (rotation.inv() * again).magnitude() < 1e-6
+
+
+@pytest.mark.parametrize("digits", [16, 320, 3000])
+def test_an_ipoc_of_too_many_digits_is_no_ipoc(digits):
+    packet = FROM_CONTROLLER.replace(b"4208163641", b"4" * digits)
+    assert stamp_of(packet) is None
+    with pytest.raises(ProtocolError, match="IPOC"):
+        decode_robot(packet)
+
+
+def test_a_delay_of_too_many_digits_counts_as_not_sent():
+    assert stamp_of(FROM_CONTROLLER.replace(b'D="3"', b'D="' + b"3" * 320 + b'"')) == (4208163641, None)
+
+
+fragments = st.sampled_from(
+    [b"", b"<", b'"', b"/>", b"9" * 400, b"-", b"e9999", b"nan", b"inf", b"\0", b"\xff", b"<IPOC>", b"</IPOC>", b"."]
+)
+
+
+@settings(max_examples=300)
+@given(st.lists(st.tuples(st.integers(0, len(FROM_CONTROLLER)), st.integers(0, 20), fragments), min_size=1, max_size=4))
+def test_a_packet_with_parts_replaced_is_read_as_finite_numbers_or_refused(changes):
+    packet = FROM_CONTROLLER
+    for at, length, new in changes:
+        packet = packet[:at] + new + packet[at + length :]
+    stamp_of(packet)
+    try:
+        read = decode_robot(packet)
+    except ProtocolError:
+        return
+    assert all(np.all(np.isfinite(v)) for v in (read.q, read.p_tcp, read.abc, read.external))

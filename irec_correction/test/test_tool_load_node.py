@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chain import ROBOT, Q
-from irec_calibration.tool_load import ToolLoad
+from irec_calibration.sensors.tool_load import ToolLoad
 from irec_correction.conditioning import sensor_in_tool
 from irec_correction.orientations import WINDOW
 from ros_side import RosSide
@@ -41,7 +41,7 @@ class Cell:
         self._wrench.header.frame_id = "ft_sensor"
         self._joints_out = self.ros.node.create_publisher(JointState, "joint_states", 50)
         self._wrench_out = self.ros.node.create_publisher(WrenchStamped, "wrench_raw", 50)
-        self.process = self.ros.hear(WrenchStamped, "irec/wrench_process")
+        self.process = self.ros.collect(WrenchStamped, "irec/wrench_process")
         self.ros.node.create_timer(0.004, self._publish)
 
     def _publish(self) -> None:

@@ -29,9 +29,22 @@ _STANDING = 3e-4  # rad/s, below which the arm counts as standing
 _STILL = 1e-9  # rad, below which a free arm keeps the equilibrium it has
 _FORCE_TOLERANCE = 0.5  # N, change of the contact force in a pass that calls for another; 1 N is a micrometre
 _MAX_PASSES = 6
+_LIGHT = 1.5e5  # N/m at the TCP, below which an arm is a light one
 _COLLISION = 8000.0  # N, at which the drives switch off
 _REUSE = 5e-5  # rad and m by which the configuration may change before lever arms are computed again
 _POSE_REUSE = 5e-4  # rad by which joints may turn before Jacobian and line of sight are computed again
+
+
+def _tuned(cell: CellFile, axial: Array) -> ForceController:
+    """The force controller as somebody sets it up for this robot: slower on stiff arms, lateral forces from 5 % of the load on.
+
+    axial: compliances (n,), rad/(N m). The values of the heavy robots are those of the controller's defaults.
+    """
+    usual = ForceController()
+    J = forward(cell.chain, cell.home[None]).jacobian()[0, :3]
+    stiffness = 1.0 / float(np.linalg.eigvalsh((J * axial) @ J.T)[-1])
+    onset = min(usual.lateral_onset, 0.055 * float(np.abs(cell.load_cases[:, 2]).max()))
+    return ForceController(stiffness=usual.stiffness if stiffness > _LIGHT else stiffness, lateral_onset=onset)
 
 
 class Cell:
@@ -55,7 +68,7 @@ class Cell:
         self._plant, self._sensing = Plant(cell.chain, physics.plant), physics.sensing
         self._disc = Disc(friction=cell.friction)
         self._servo = Servo(0.015, cell.chain.velocity)
-        self._force_control = ForceController()
+        self._force_control = _tuned(cell, physics.plant.axial)
         self._channel = OffsetChannel()
         self._noise = Noise(seed, self.settings, cell.chain.n, len(cell.stations))
         self._force_delay: Delay[Array] = Delay(self.settings.force_delay)
@@ -97,6 +110,11 @@ class Cell:
     def commanded(self) -> tuple[Array, float]:
         """Joint angles (n,), rad, and rail position, m, that the servo goes to, without the correction."""
         return self._q_command, self._rail_command
+
+    @property
+    def force_setpoint(self) -> Array:
+        """What force control seeks, (3,), N, environment on robot in tool0."""
+        return self._setpoint.copy()
 
     @property
     def late_offsets(self) -> int:

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from .errors import SimError
+from .files import read_yaml
 from .kinematics import Array, Chain, read_urdf, rotation_of_quaternion
+from .mesh import Mesh, read_mesh
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class CellFile:
     rail: tuple[Array, tuple[float, float]] | None
     marker_in_tool0: Array
     pad_radius: float
-    surface: Patch | Block
+    surface: Patch | Block | Mesh
     stations: tuple[tuple[str, Array, Array], ...]
     load_cases: Array
     load_case_names: tuple[str, ...]
@@ -127,6 +128,7 @@ class CellFile:
     noise: dict[str, float]
     course: dict[str, Any]
     sensor_axis: Array
+    arm_radius: float = 0.2
 
 
 def find_cell(name: str) -> Path:
@@ -156,24 +158,34 @@ def read_cell(name: str | Path) -> CellFile:
     """
     path = find_cell(str(name))
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = read_yaml(path, "cell file")
         robot, tool, surface, loads = data["robot"], data["tool"], data["surface"], data["load_cases"]
         frame = rotation_of_quaternion(np.array(surface["quat_xyzw"])), np.array(surface["xyz"], dtype=float)
-        shape: Patch | Block
+        shape: Patch | Block | Mesh
         if surface["kind"] == "patch":
             shape = Patch(tuple(surface["size"]), tuple(surface["radius"]), *frame)
         elif surface["kind"] == "block":
             shape = Block(tuple(surface["size"]), tuple(surface["faces"]), *frame)
+        elif surface["kind"] == "mesh":
+            local = read_mesh(path.parent / str(surface["file"])) * float(surface.get("scale", 1.0))
+            triangles = local @ frame[0].T + frame[1]
+            shape = Mesh(triangles[:, ::-1] if surface.get("flip") else triangles)
         else:
-            raise SimError(f"{path}: surface.kind: the simulator has 'patch' and 'block', not '{surface['kind']}'")
+            raise SimError(f"{path}: surface.kind is '{surface['kind']}', must be patch, block or mesh")
         urdf = (path.parent / robot["urdf"]).resolve()
         rail = None
         if "rail" in robot:
             rail = np.array(robot["rail"]["axis"], dtype=float), tuple(robot["rail"]["range"])
+        try:
+            chain = read_urdf(urdf)
+        except SimError as error:
+            raise SimError(f"{path}: robot.urdf: {error}") from error
+        if np.shape(robot["home"]) != (chain.n,):
+            raise SimError(f"{path}: robot.home has {np.size(robot['home'])} values, the description {chain.n} joints")
         fx, fy, fz = loads["fx"], loads["fy"], loads["fz"]
         cases = np.array([[0, 0, -fz], [fx, 0, -fz], [-fx, 0, -fz], [0, -fy, -fz], [0, fy, -fz]], dtype=float)
         return CellFile(
-            name=data["name"], path=path, chain=read_urdf(urdf), urdf=urdf, serial=robot["serial"],
+            name=data["name"], path=path, chain=chain, urdf=urdf, serial=robot["serial"],
             home=np.array(robot["home"], dtype=float), rail=rail,
             marker_in_tool0=np.array(tool["marker_in_tool0"], dtype=float), pad_radius=float(tool["pad_radius"]), surface=shape,
             stations=tuple(_station(s) for s in data["stations"]),
@@ -181,6 +193,7 @@ def read_cell(name: str | Path) -> CellFile:
             approach_distance=float(data["approach_distance"]), reference_distance=float(data["reference_distance"]),
             noise={k: float(v) for k, v in data["noise"].items()}, course=data.get("course", {}),
             sensor_axis=np.array(data.get("force_sensor", {}).get("axis_in_tool0", [0, 0, 1]), dtype=float),
+            arm_radius=float(robot.get("arm_radius", 0.2)),
         )  # fmt: skip
-    except (KeyError, TypeError, ValueError, OSError, yaml.YAMLError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OSError) as error:
         raise SimError(f"{path}: {type(error).__name__}: {error}; see config/cells/afp.yaml for what a cell states") from error

@@ -11,25 +11,25 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from .cellfile import read_cell
+from .cellfile import CellFile, read_cell
 from .errors import SimError
-from .hidden import STRENGTHS, Case, write_matrix
+from .hidden import write_matrix
+from .matrix import KIND_NAMES, STRENGTHS, matrix_cases, plain_cases
 from .session import generate, scale_to_share, write_deflections, write_session
 from .truth import EFFECTS, Truth, make_truth, read_truth
-from .truth_catalogue import CATALOGUE
 
 
-def _truth(args: argparse.Namespace, cell_name: str) -> Truth:
+def _truth(args: argparse.Namespace, cell: CellFile) -> Truth:
     if args.truth is None:
-        return make_truth(cell_name, args.effect or [], args.truth_seed)
+        return make_truth(cell.name, args.effect or [], args.truth_seed, effort=cell.chain.effort)
     if args.effect:
         raise SimError("give --truth or --effect, not both")
-    return read_truth(args.truth, cell_name, args.truth_seed)
+    return read_truth(args.truth, cell.name, args.truth_seed, cell.chain.effort)
 
 
 def _session(args: argparse.Namespace) -> int:
     cell = read_cell(args.cell)
-    truth = _truth(args, cell.name)
+    truth = _truth(args, cell)
     if args.strength is not None:
         truth, shown = scale_to_share(cell, truth, args.strength, args.truth_seed)
         for h in truth.hidden:
@@ -54,27 +54,17 @@ def _session(args: argparse.Namespace) -> int:
 
 
 def _hidden(args: argparse.Namespace) -> int:
-    cases = None
+    rng = np.random.default_rng([args.seed, 7])
     if args.effect:
         unknown = [e for e in args.effect if e not in EFFECTS and e != "clean"]
         if unknown:
             raise SimError(f"--effect {unknown[0]}: not known; there are clean, {', '.join(EFFECTS)}")
-        strengths = args.strength or STRENGTHS
-        cases = [Case("clean", (), 0.0) for e in args.effect if e == "clean" for _ in range(args.repeats)]
-        for e in args.effect:
-            if e != "clean":
-                kind = "single" if e in CATALOGUE else "outside"
-                cases += [Case(kind, (e,), s) for s in strengths for _ in range(args.repeats)]
+        cases = plain_cases(args.effect, args.strength or STRENGTHS, args.repeats)
+    else:
+        cases = matrix_cases(rng, args.size, args.quick, args.only or KIND_NAMES, args.count, not args.no_mishaps)
     truth = write_matrix(
-        args.out,
-        args.seed,
-        cases,
-        args.poses,
-        args.validation_poses,
-        args.clean,
-        args.pairs,
-        lambda text: print(text, flush=True),
-    )
+        args.out, args.seed, cases, args.poses, args.validation_poses, lambda text: print(text, flush=True)
+    )  # fmt: skip
     print(f"sessions in {args.out}, truth in {truth}")
     return 0
 
@@ -97,13 +87,16 @@ def _parser() -> argparse.ArgumentParser:
     session.add_argument("-o", "--output", required=True, help="new folder for the session")
     session.add_argument("--truth-out", help="folder, outside the session, for the truth and the true deflection of each row")
     session.set_defaults(run=_session)
-    hidden = commands.add_parser("hidden", help="write a blind matrix of sessions with hidden effects")
+    hidden = commands.add_parser("hidden", help="write a blind matrix of sessions with hidden causes")
     hidden.add_argument("--out", required=True, help="new folder for the sessions; the truth goes to the same name with -truth")
     hidden.add_argument("--seed", type=int, default=0)
-    hidden.add_argument("--poses", type=int, default=31)
+    hidden.add_argument("--size", type=float, default=1.0, help="multiplies the number of sessions (default: 1)")
+    hidden.add_argument("--quick", action="store_true", help="about forty sessions")
+    hidden.add_argument("--only", action="append", choices=KIND_NAMES, help="only this kind of session; may be given again")
+    hidden.add_argument("--count", type=int, help="how many sessions of each kind (default: as the matrix has them)")
+    hidden.add_argument("--no-mishaps", action="store_true", help="nothing goes wrong in single rows")
+    hidden.add_argument("--poses", type=int, help="of each session (default: 18 to 40, drawn)")
     hidden.add_argument("--validation-poses", type=int, default=20)
-    hidden.add_argument("--clean", type=int, default=12, help="cells with nothing hidden (default: 12)")
-    hidden.add_argument("--pairs", type=int, default=8, help="cells with two effects (default: 8)")
     hidden.add_argument("--effect", action="append", metavar="ID", help="only this effect (or 'clean'); may be given again")
     hidden.add_argument("--strength", action="append", type=float, help="with --effect: share of the RMS deflection")
     hidden.add_argument("--repeats", type=int, default=1, help="with --effect: cells of each")

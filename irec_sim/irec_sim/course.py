@@ -17,13 +17,15 @@ import numpy as np
 from .cellfile import CellFile, Patch
 from .errors import SimError
 from .kinematics import Array, forward, inverse
+from .mesh import Mesh
 from .motion import KNOT
 from .poses import tool_frames
 
 RAMP_TIME = 0.5  # s in which the process force comes and goes while the robot stands at either end
 _WAVES = np.array([2.0, 3.0, 2.5])  # of the ripple along the course, for x, y, z of the force
 _PHASES = np.array([0.3, 1.7, 4.0])  # rad
-_SINGULARITY = 0.06  # smallest singular value of the Jacobian that the course may come to, unit of length 1 m
+STEP = 0.3  # rad, largest change of a joint from knot to knot
+SINGULARITY = 0.06  # smallest singular value of the Jacobian that the course may come to, unit of length 1 m
 
 COLUMNS = (
     *("stamp", "s"),
@@ -84,7 +86,7 @@ def plan_course(cell: CellFile) -> CoursePlan:
     tangent = np.gradient(p, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     for turn in (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5):
-        q = _follow(cell, p, tool_frames(normal, np.full(len(p), turn)))
+        q = follow(cell, p, tool_frames(normal, np.full(len(p), turn)), STEP, SINGULARITY)
         if q is not None:
             R = tool_frames(normal[:1], np.array([turn]))
             above = p[:1] + cell.approach_distance * normal[:1]
@@ -100,6 +102,8 @@ def _points(cell: CellFile, start: Array, end: Array, face: str) -> tuple[Array,
     def surface(u: Array) -> tuple[Array, Array]:
         x, y = (start + u[:, None] * (end - start)).T
         shape = cell.surface
+        if isinstance(shape, Mesh):
+            raise SimError(f"{cell.path}: course: the simulator drives courses on patches and blocks, not on meshes")
         return shape.point(x, y) if isinstance(shape, Patch) else shape.face_point(face, x, y)
 
     fine = np.linspace(0.0, 1.0, 2001)
@@ -109,18 +113,24 @@ def _points(cell: CellFile, start: Array, end: Array, face: str) -> tuple[Array,
     return p, normal, float(way[-1])
 
 
-def _follow(cell: CellFile, p: Array, R: Array) -> Array | None:
+def follow(cell: CellFile, p: Array, R: Array, step: float, singularity: float) -> Array | None:
+    """Joint angles along a line of tool poses, (n, 6), rad; None where the robot can't follow it.
+
+    Args:
+        p, R: points (n, 3), m, and tool frames (n, 3, 3), in base_link. step: largest change of a joint from point to point, rad.
+        singularity: smallest singular value of the Jacobian that is allowed on the way.
+    """
     guess = cell.home.copy()
     guess[0] = -math.atan2(p[0, 1], p[0, 0])
     angles: list[Array] = []
     for k in range(len(p)):
         start = guess if k == 0 else angles[-1] if k == 1 else 2.0 * angles[-1] - angles[-2]
         q, reached = inverse(cell.chain, p[k : k + 1], R[k : k + 1], start[None])
-        if not reached[0] or (k > 0 and np.abs(q[0] - angles[-1]).max() > 0.3):
+        if not reached[0] or (k > 0 and np.abs(q[0] - angles[-1]).max() > step):
             return None
         angles.append(q[0])
     smallest = np.linalg.svd(forward(cell.chain, np.array(angles)).jacobian(), compute_uv=False)[:, -1].min()
-    return np.array(angles) if smallest > _SINGULARITY else None
+    return np.array(angles) if smallest > singularity else None
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import SimError
+from .files import read_text
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int_]
 
 
 def skew(v: Array) -> Array:
@@ -133,16 +135,21 @@ def read_urdf(path: str | Path) -> Chain:
         SimError: not XML, no path base_link .. tool0, or a moving joint that is not revolute.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
-        root = ElementTree.fromstring(text)
-    except (OSError, ElementTree.ParseError) as error:
+        text = read_text(path, "robot description")
+        return _chain(text, ElementTree.fromstring(text), path)
+    except (ElementTree.ParseError, AttributeError, ValueError, TypeError) as error:
         raise SimError(f"{path}: not a robot description that can be read: {error}") from error
+
+
+def _chain(text: str, root: ElementTree.Element, path: str | Path) -> Chain:
     joints = {j.find("child").get("link"): j for j in root.findall("joint")}  # type: ignore[union-attr]
     path_up: list[ElementTree.Element] = []
     link: str | None = "tool0"
     while link != "base_link":
         if link not in joints:
             raise SimError(f"{path}: no path from base_link to tool0 (stops at link '{link}')")
+        if len(path_up) > 200:
+            raise SimError(f"{path}: the links on the way from tool0 to base_link form a circle")
         path_up.append(joints[link])
         link = joints[link].find("parent").get("link")  # type: ignore[union-attr]
     names, R_fixed, p_fixed, axis, limits = [], [], [], [], []

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .cellfile import CellFile
-from .kinematics import Array, forward
+from .kinematics import Array, BoolArray, IntArray, forward
 from .plant import Conditions, Plant, State
 from .poses import Poses
-from .sensing import SensingParameters, drift_at, force_reading, motor_angles, tracker_reading
+from .sensing import SensingParameters, beyond_reported, drift_at, force_reading, motor_angles, tracker_reading
 from .truth_catalogue import Physics
 
 DISC_NORMAL = 4.0e6  # N/m, of the urethane disc
@@ -30,6 +30,8 @@ class Schedule:
         gap: distance of the reference from contact, m, (N,).
         ambient: degC, (N, M + 1); gears: degC, (N, M + 1, joints).
         station: index of the station that sees each pose, (N,).
+        lagged: temperatures of `gears` and, first, `ambient` that follow them late, degC, (N, M + 1, joints + 1).
+        case: which load case each row is, (N, M + 1), 0 first: load cases follow each other in an order of their own per pose.
     """
 
     poses: Poses
@@ -39,6 +41,12 @@ class Schedule:
     ambient: Array
     gears: Array
     station: Array
+    case: IntArray
+    lagged: Array
+
+    def before(self, j: int) -> Array:
+        """Force in tool0 of the row before, (N, 3), N: none before a reference."""
+        return self.force[:, j - 1] if j else np.zeros_like(self.force[:, 0])
 
 
 @dataclass(frozen=True)
@@ -49,8 +57,11 @@ class Rows:
         q: reported joint angles, rad; p_controller: the controller's TCP in base_link, m.
         p_marker: marker in the frame of the station, m; distance: from it, m.
         force_reading: in tool0, N; wrench_force: true force in tool0, N.
-        p_tcp: physical TCP in base_link, m.
+        p_tcp: physical TCP in base_link, m, without what no process force causes: what drifts with time, and joint angles that
+            were read early.
         station: index of the station of each pose, (N,).
+        shifted: rows after a station was bumped, (N, M + 1) bool.
+        q_before: where each pose's reference was approached from, (N, joints), rad.
     """
 
     q: Array
@@ -61,6 +72,8 @@ class Rows:
     wrench_force: Array
     p_tcp: Array
     station: Array
+    shifted: BoolArray
+    q_before: Array
 
     @property
     def deflection(self) -> Array:
@@ -77,13 +90,18 @@ class Rows:
         return (in_base - commanded + commanded[:, :1])[:, 1:]
 
 
-def simulate(cell: CellFile, physics: Physics, schedule: Schedule) -> Rows:
-    """Run Procedure 1 in the plant."""
+def simulate(cell: CellFile, physics: Physics, schedule: Schedule, came_from: Array | None = None) -> Rows:
+    """Run Procedure 1 in the plant.
+
+    Args:
+        came_from: joint angles before the first pose, (joints,), rad; None: it stood there already.
+    """
     rows = _run(cell, physics, schedule, None)
+    first = rows.q[:1, 0] if came_from is None else came_from[None]
+    q_before = np.concatenate([first, rows.q[:-1, -1]])
     if np.any(physics.sensing.settle):
-        previous_last = np.concatenate([rows.q[:1, 0], rows.q[:-1, -1]])
-        rows = _run(cell, physics, schedule, previous_last)
-    return rows
+        return _run(cell, physics, schedule, q_before)
+    return replace(rows, q_before=q_before)
 
 
 def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array | None) -> Rows:
@@ -101,55 +119,85 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
     collected: dict[str, list[Array]] = {k: [] for k in ("q", "controller", "marker", "distance", "reading", "tcp")}
     shifted = _after_shift(schedule, sensing)
     state: State | None = None
+    frees = np.isfinite(physics.plant.release)
     p_contact = np.zeros((N, 3))
     for j in range(rows):
-        idle = Conditions(np.zeros((N, 3)), poses.rail, schedule.gears[:, j], np.zeros(N, dtype=bool))
+        idle = conditions_at(schedule, j, base_in_cell, schedule.force[:, j])
         if state is None:
-            step = np.zeros_like(q) if q_before is None else q - q_before
+            if q_before is None:
+                q_before = q
+            step = q - q_before
             motor = motor_angles(sensing, q, step)
-            state = plant.relaxed(motor, idle)
+            state = plant.relaxed(motor, idle, arrived(q))
             state, frames = plant.equilibrium(motor, idle, state)
             p_contact = frames.p_tcp + frames.R_tool[:, :, 2] * schedule.gap[:, None]
-            q_last = q
+            q_last, motor_last, loaded = q, motor, idle
         else:
-            force = schedule.force[:, j]
+            before, force = loaded, schedule.force[:, j]
             give = np.stack([-force[:, 0] / DISC_TANGENTIAL, -force[:, 1] / DISC_TANGENTIAL, -force[:, 2] / DISC_NORMAL], axis=1)
             goal = p_contact + (R_command @ give[:, :, None])[..., 0]
             dt = schedule.stamp[:, j] - schedule.stamp[:, j - 1]
-            begin = state
-            for _ in range(4):
+            begin = last = state
+            frames_last = frames
+            for _ in range(2):  # the contact moves by nanometres then, and each row is in equilibrium where it is
                 motor = motor_angles(sensing, q, q - q_last)
+                begin = plant.released(frames_last, motor_last, before, last, motor - motor_last) if frees else last
                 in_base = (frames.R_tool @ force[:, :, None])[..., 0]
-                loaded = replace(idle, force=in_base, process_on=np.ones(N, dtype=bool))
-                state, frames = plant.equilibrium(motor, loaded, replace(begin, e=state.e), dt)
+                loaded = replace(idle, force=in_base)
+                state, frames = plant.equilibrium(motor, loaded, replace(begin, e=state.e), dt, tolerance=1e-9)
                 q = q + _solve(forward(chain, q).jacobian(), goal - frames.p_tcp)
-            motor = motor_angles(sensing, q, q - q_last)
+            step = q - q_last
+            motor = motor_angles(sensing, q, step)
+            begin = plant.released(frames_last, motor_last, before, last, motor - motor_last) if frees else last
             loaded = replace(loaded, force=(frames.R_tool @ force[:, :, None])[..., 0])
             state, frames = plant.equilibrium(motor, loaded, replace(begin, e=state.e), dt)
-            q_last = q
+            q_last, motor_last = q, motor
         controller = forward(chain, q)
-        p_tcp = frames.p_tcp + drift_at(sensing, schedule.stamp[:, j], schedule.ambient[:, j])
-        p_marker = p_tcp + (frames.R_tool @ (cell.marker_in_tool0 + sensing.marker_error)[:, None])[..., 0]
+        drifted = frames.p_tcp + drift_at(sensing, schedule.stamp[:, j], schedule.ambient[:, j])
+        p_marker = drifted + (frames.R_tool @ (cell.marker_in_tool0 + sensing.marker_error)[:, None])[..., 0]
         measured, distance = np.empty((N, 3)), np.empty(N)
         for s, (_, p_station, R_station) in enumerate(cell.stations):
             by = schedule.station == s
             in_cell = p_marker[by] + base_in_cell[by]
             measured[by] = tracker_reading(sensing, in_cell, s, p_station, R_station, shifted[by, j])
             distance[by] = np.linalg.norm(in_cell - p_station, axis=1)
+        reading = force_reading(
+            sensing, cell.sensor_axis, schedule.force[:, j], frames.R_tool, schedule.before(j), schedule.ambient[:, j]
+        )
         collected["q"].append(q)
         collected["controller"].append(controller.p_tcp)
         collected["marker"].append(measured)
         collected["distance"].append(distance)
-        collected["reading"].append(force_reading(sensing, cell.sensor_axis, schedule.force[:, j], frames.R_tool))
-        collected["tcp"].append(p_tcp)
+        collected["reading"].append(reading)
+        collected["tcp"].append(frames.p_tcp - beyond_reported(sensing, controller.jacobian(), step))
     stacked = {k: np.stack(v, axis=1) for k, v in collected.items()}
     return Rows(
         stacked["q"], stacked["controller"], stacked["marker"], stacked["distance"], stacked["reading"], schedule.force,
-        stacked["tcp"], schedule.station,
+        stacked["tcp"], schedule.station, shifted, q if q_before is None else q_before,
     )  # fmt: skip
 
 
-def _after_shift(schedule: Schedule, sensing: SensingParameters) -> Array:
+def arrived(q: Array) -> Array:
+    """Direction from which the joints came to each pose, in the order of the run, -1 .. 1, (N, joints)."""
+    return np.tanh(np.diff(q, axis=0, prepend=q[:1]) / 0.05)
+
+
+def conditions_at(schedule: Schedule, j: int, base_in_cell: Array, force_in_tool: Array) -> Conditions:
+    """What acts on the arm in row j of every pose but for the process force in base_link; force_in_tool (N, 3) is for causes
+    without a name that follow it."""
+    N = len(force_in_tool)
+    known = {f"force_{a}": force_in_tool[:, i] for i, a in enumerate("xyz")}
+    known |= {"side": np.linalg.norm(force_in_tool[:, :2], axis=1)}
+    known |= {"stamp": schedule.stamp[:, j], "ext_rail": schedule.poses.rail}
+    known |= {"temp_ambient": schedule.ambient[:, j], "lag_ambient": schedule.lagged[:, j, 0]}
+    for k in range(schedule.gears.shape[2]):
+        known |= {f"temp_gear_{k + 1}": schedule.gears[:, j, k], f"lag_gear_{k + 1}": schedule.lagged[:, j, k + 1]}
+    return Conditions(
+        np.zeros((N, 3)), schedule.poses.rail, schedule.gears[:, j], np.full(N, j > 0), base_in_cell, known
+    )  # fmt: skip
+
+
+def _after_shift(schedule: Schedule, sensing: SensingParameters) -> BoolArray:
     """Rows after the station was bumped, (N, M + 1) bool: in the midst of a pose that it sees, where it can be noticed."""
     N, rows = schedule.stamp.shape
     seen = np.flatnonzero(schedule.station == sensing.shift_station)

@@ -8,6 +8,7 @@ generator and the time-stepped cell.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,9 @@ class SensingParameters:
     Attributes:
         sensor_matrix: crosstalk E of the force sensor, reading (I + E) f in tool0, (3, 3).
         sensor_turn: rad by which the sensor is mounted rotated about its axis.
+        sensor_lag: share of the load before that it still reads; sensor_hysteresis: N that it reads too little after a rise of
+            the load of more than that; sensor_bend: relative loss of gain per kN; sensor_heat: relative gain per kelvin of
+            the ambient temperature above AMBIENT. No calibration has a name for these.
         weight_error: mass that the weight removal forgets, kg.
         tracker_scale: relative.
         station_turn: rotation vector of the true against the stated station frame, (stations, 3), rad.
@@ -41,6 +45,10 @@ class SensingParameters:
 
     sensor_matrix: Array = field(default_factory=lambda: _zeros(3, 3))
     sensor_turn: float = 0.0
+    sensor_lag: float = 0.0
+    sensor_hysteresis: float = 0.0
+    sensor_bend: float = 0.0
+    sensor_heat: float = 0.0
     weight_error: float = 0.0
     tracker_scale: float = 0.0
     station_turn: Array = field(default_factory=lambda: _zeros(1, 3))
@@ -56,12 +64,53 @@ class SensingParameters:
     encoder_cos: Array = field(default_factory=lambda: _zeros(2, 6))
     settle: Array = field(default_factory=lambda: _zeros(6))
 
+    @classmethod
+    def plain(cls, n: int) -> SensingParameters:
+        """Instruments without errors for a robot of n joints."""
+        return cls(encoder_sin=_zeros(2, n), encoder_cos=_zeros(2, n), settle=_zeros(n))
 
-def force_reading(par: SensingParameters, sensor_axis: Array, force_in_tool: Array, R_tool_in_base: Array) -> Array:
-    """What the sensor reads in tool0 after weight removal, without noise, for forces (n, 3) in N."""
-    turned = force_in_tool @ rotation(sensor_axis, par.sensor_turn)  # the sensor's frame is turned, so f turns back
+
+def per_joint(n: int) -> dict[str, Any]:
+    """The neutral values of all fields that are per joint, for a robot of n joints."""
+    return {"encoder_sin": _zeros(2, n), "encoder_cos": _zeros(2, n), "settle": _zeros(n)}
+
+
+def force_reading(
+    par: SensingParameters, sensor_axis: Array, force_in_tool: Array, R_tool_in_base: Array,
+    before: Array | None = None, ambient: Array | None = None,
+) -> Array:  # fmt: skip
+    """What the sensor reads in tool0 after weight removal, without noise, for forces (n, 3) in N.
+
+    Args:
+        before: force of the row before, (n, 3), N (None: as now); ambient: degC, (n,) (None: at AMBIENT).
+    """
+    force = force_in_tool
+    if before is not None:
+        rise = force_in_tool - before
+        force = force - par.sensor_lag * rise
+        if par.sensor_hysteresis:
+            force = force - par.sensor_hysteresis * np.tanh(rise / (3.0 * par.sensor_hysteresis))
+    if par.sensor_bend:
+        force = force * (1.0 - par.sensor_bend * np.abs(force) / 1000.0)
+    if ambient is not None and par.sensor_heat:
+        force = force * (1.0 + par.sensor_heat * (ambient - AMBIENT))[:, None]
+    turned = force @ rotation(sensor_axis, par.sensor_turn)  # the sensor's frame is turned, so f turns back
     weight = R_tool_in_base.swapaxes(1, 2) @ np.array([0.0, 0.0, -9.81 * par.weight_error])
     return turned @ (np.eye(3) + par.sensor_matrix).T + weight
+
+
+def true_force(
+    par: SensingParameters, sensor_axis: Array, reading: Array, R_tool_in_base: Array,
+    before: Array | None = None, ambient: Array | None = None,
+) -> Array:  # fmt: skip
+    """The force in tool0, (n, 3), N, behind a reading of `force_reading`; sensors are nearly right, so a few passes find it."""
+    force = reading
+    for _ in range(30):
+        missing = reading - force_reading(par, sensor_axis, force, R_tool_in_base, before, ambient)
+        force = force + missing
+        if np.abs(missing).max() < 1e-9:
+            break
+    return force
 
 
 def motor_angles(par: SensingParameters, q_reported: Array, step: Array) -> Array:
@@ -69,6 +118,16 @@ def motor_angles(par: SensingParameters, q_reported: Array, step: Array) -> Arra
     out = q_reported + par.settle * step
     for h in (1, 2):
         out = out + par.encoder_sin[h - 1] * np.sin(h * q_reported) + par.encoder_cos[h - 1] * np.cos(h * q_reported)
+    return out
+
+
+def beyond_reported(par: SensingParameters, jacobian: Array, step: Array) -> Array:
+    """How far the TCP is beyond its place by the reported angles because they were read early, (n, 3), m in base_link.
+
+    Args:
+        jacobian: of the TCP, (n, 6, joints); step: that the joints made last, (n, joints), rad.
+    """
+    out: Array = (jacobian[:, :3] @ (par.settle * step)[:, :, None])[..., 0]
     return out
 
 

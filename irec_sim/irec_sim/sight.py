@@ -7,8 +7,9 @@ import numpy as np
 
 from .cellfile import Block, CellFile
 from .kinematics import Array, forward
+from .mesh import Mesh
 
-ARM_RADIUS = 0.15  # m, of upper arm and forearm
+ARM_SHARE = 0.75  # of the radius that the cell states, upper arm and forearm; the statement has room
 _OWN = 0.25  # m around the marker that belong to the tool and don't hide it
 
 
@@ -33,6 +34,8 @@ def _through_tooling(cell: CellFile, p_station: Array, marker: Array) -> bool:
     share = np.linspace(0.0, 1.0, 40)[1:-1, None]
     points = marker + share * (p_station - marker)
     surface = cell.surface
+    if isinstance(surface, Mesh):
+        return surface.inside(points[1:], 0.002)
     local = (points - surface.p) @ surface.R
     if isinstance(surface, Block):
         return bool((np.abs(local) < np.array(surface.size) / 2 - 0.002).all(axis=1).any())
@@ -52,7 +55,7 @@ def visible(cell: CellFile, q: Array, rail: float, marker: Array) -> int | None:
         away = p_station - marker
         start = marker + away * (_OWN / np.linalg.norm(away))
         arm = ((joints[1], joints[2]), (joints[2], joints[4]))
-        if any(_segment_distance(start, p_station, a, b) < ARM_RADIUS for a, b in arm):
+        if any(_segment_distance(start, p_station, a, b) < ARM_SHARE * cell.arm_radius for a, b in arm):
             continue
         if not _through_tooling(cell, p_station, marker):
             return int(index)

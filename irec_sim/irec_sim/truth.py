@@ -12,18 +12,20 @@ generator finds the scale at which the effect causes a wanted share of the defle
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from .errors import SimError
+from .files import check, read_yaml
 from .kinematics import Array
 from .outside import OUTSIDE
 from .parameters import PlantParameters
 from .sensing import SensingParameters
+from .sensing import per_joint as per_joint_of_sensing
 from .truth_catalogue import CATALOGUE, Physics, TruthEffect
 
 FORMAT = "irec-truth/1"
@@ -40,32 +42,45 @@ _COMPLIANCE: dict[str, tuple[list[float], list[list[float]]]] = {
         [[1.2e-8, 2.0e-8], [1.8e-8, 2.6e-8], [2.6e-8, 3.4e-8], [2.4e-7, 3.6e-7], [3.2e-7, 4.6e-7], [5.0e-7, 7.0e-7]],
     ),
 }
+_TWIST_AT_RATED = 2.0e-3  # rad, as those of the two classes above
 _BACKGROUND_FRICTION = 0.012  # share of the compliance: mild, in no model
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """One effect of a truth: id, all its parameters, and the scale of its magnitude."""
+    """One effect of a truth: id, all its parameters, the scale of its magnitude.
+
+    background: truly there, but too small to show: nobody is asked for it, and nobody can know its name.
+    """
 
     effect: str
     parameters: dict[str, Any]
     scale: float = 1.0
+    background: bool = False
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Compliances axial (n,), transverse (n, 2) in rad/(N m), share of background friction, hidden effects."""
+    """Compliances axial (n,), transverse (n, 2) in rad/(N m), share of background friction, hidden effects.
+
+    centre: where the springs of `transverse` sit off the joints' origins, in the joints' frames, (n, 3), m.
+    """
 
     axial: Array
     transverse: Array
     friction: float
     hidden: tuple[Hidden, ...]
+    centre: Array
 
     def physics(self) -> Physics:
         """Parameters of plant and instruments with all effects applied."""
         n = len(self.axial)
-        plant = PlantParameters(self.axial, self.transverse, friction=np.full(n, self.friction))
-        physics = Physics(plant, SensingParameters())
+        if n == 6:
+            plant = PlantParameters(self.axial, self.transverse, friction=np.full(n, self.friction), centre=self.centre)
+        else:
+            plain = PlantParameters.plain(self.axial, self.transverse)
+            plant = replace(plain, friction=np.full(n, self.friction), centre=self.centre)
+        physics = Physics(plant, SensingParameters(**per_joint_of_sensing(n)))
         for h in self.hidden:
             physics = EFFECTS[h.effect].apply(physics, h.parameters, h.scale)
         return physics
@@ -82,70 +97,131 @@ class Truth:
         """Content of a truth file."""
         return {
             "format": FORMAT,
-            "compliance": {"axial": self.axial.tolist(), "transverse": self.transverse.tolist(), "spread": 0.0},
+            "compliance": {
+                "axial": self.axial.tolist(), "transverse": self.transverse.tolist(), "centre": self.centre.tolist(),
+                "spread": 0.0,
+            },
             "background_friction": self.friction,
-            "effects": [{"effect": h.effect, "scale": float(h.scale), "parameters": _plain(h.parameters)} for h in self.hidden],
+            "effects": [
+                {"effect": h.effect, "scale": float(h.scale), "parameters": plain(h.parameters)}
+                | ({"background": True} if h.background else {})
+                for h in self.hidden
+            ],
         }
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Arrays and numpy numbers as a YAML file can hold them."""
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
+        return {k: plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     return value.item() if isinstance(value, np.generic) else value
 
 
 def make_truth(
-    cell_name: str, effects: list[str], seed: int, spread: float = 0.15, friction: float = _BACKGROUND_FRICTION
-) -> Truth:
-    """A truth with the named effects, all parameters drawn from the seed."""
-    return _resolve(
-        {"compliance": {"spread": spread}, "background_friction": friction, "effects": [{"effect": e} for e in effects]},
-        cell_name,
-        seed,
-        "truth",
-    )
+    cell_name: str, effects: list[str], seed: int, spread: float = 0.15, friction: float = _BACKGROUND_FRICTION,
+    unequal: float = 0.0, off_centre: float = 0.0, effort: Array | None = None,
+) -> Truth:  # fmt: skip
+    """A truth with the named effects, all parameters drawn from the seed.
+
+    Args:
+        spread: of all compliances about the usual ones, of their logarithm; unequal: further, of the two compliances across a
+            joint against each other; off_centre: m, of the springs across a joint from its origin, one standard deviation.
+        effort: as in read_truth.
+    """
+    stated = {"spread": spread, "unequal": unequal, "off_centre": off_centre}
+    data = {"compliance": stated, "background_friction": friction, "effects": [{"effect": e} for e in effects]}
+    return _resolve(data, cell_name, seed, "truth", effort)
 
 
-def read_truth(path: str | Path, cell_name: str, seed: int = 0) -> Truth:
+def read_truth(path: str | Path, cell_name: str, seed: int = 0, effort: Array | None = None) -> Truth:
     """Read a truth file; what it leaves open is drawn from the seed.
+
+    Args:
+        effort: rated torques of the robot, (n,), N m: compliances of a cell of no known class follow from them.
 
     Raises:
         SimError: not readable, wrong format, or an effect or parameter that doesn't exist.
     """
-    try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError) as error:
-        raise SimError(f"{path}: can't be read as a truth file: {error}") from error
+    data = read_yaml(path, "truth file")
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise SimError(f"{path}: format must be '{FORMAT}'")
-    return _resolve(data, cell_name, seed, str(path))
+    wrong = check(FORMAT, data, str(path))
+    if wrong:
+        raise SimError(wrong[0] + (f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""))
+    return _resolve(data, cell_name, seed, str(path), effort)
 
 
-def _resolve(data: dict[str, Any], cell_name: str, seed: int, where: str) -> Truth:
+def _by_effort(effort: Array) -> tuple[list[float], list[list[float]]]:
+    """Compliances of a robot of no known class: a gear of given rated torque twists by some milliradians under it."""
+    axial = _TWIST_AT_RATED / np.maximum(effort, 1.0)
+    return axial.tolist(), [[0.12 * c, 0.2 * c] for c in axial]
+
+
+def truth_problems(path: str | Path) -> list[str]:
+    """Everything that is wrong in a truth file, one line each."""
+    try:
+        data = read_yaml(path, "truth file")
+        wrong = check(FORMAT, data, str(path))
+        if not wrong:
+            stated = (data.get("compliance") or {}).get("axial")
+            _resolve(data, "any", 0, str(path), np.full(len(stated), 1e3) if stated else None)
+    except SimError as error:
+        return [str(error)]
+    return wrong
+
+
+def _same_shape(value: Any, drawn: Any) -> bool:
+    """Whether a stated parameter can stand for the one that would be drawn."""
+    if isinstance(drawn, (list, tuple, np.ndarray)):
+        return isinstance(value, (list, tuple)) and len(value) == len(drawn) and all(map(_same_shape, value, drawn))
+    if isinstance(drawn, str):
+        return isinstance(value, str)
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _resolve(data: dict[str, Any], cell_name: str, seed: int, where: str, effort: Array | None = None) -> Truth:
     rng = np.random.default_rng([seed, 71])
     stated = data.get("compliance") or {}
     default = _COMPLIANCE["milling" if cell_name == "milling" else "afp"]
+    if effort is not None and cell_name not in _COMPLIANCE:
+        default = _by_effort(effort)
+    n = len(default[0])
     spread = float(stated.get("spread", 0.0))
     axial = np.array(stated.get("axial", default[0]), dtype=float)
     transverse = np.array(stated.get("transverse", default[1]), dtype=float)
-    if axial.shape != (6,) or transverse.shape != (6, 2) or min(axial.min(), transverse.min()) <= 0.0:
-        raise SimError(f"{where}: compliance: axial needs 6 positive values and transverse 6 pairs of them, rad/(N m)")
-    axial, transverse = axial * np.exp(spread * rng.standard_normal(6)), transverse * np.exp(spread * rng.standard_normal((6, 2)))
+    if axial.shape != (n,) or transverse.shape != (n, 2) or min(axial.min(), transverse.min()) <= 0.0:
+        raise SimError(f"{where}: compliance: axial needs {n} positive values and transverse {n} pairs of them, rad/(N m)")
+    axial, transverse = axial * np.exp(spread * rng.standard_normal(n)), transverse * np.exp(spread * rng.standard_normal((n, 2)))
+    apart = float(stated.get("unequal", 0.0)) * rng.standard_normal(n)
+    transverse = transverse * np.exp(np.column_stack([apart, -apart]))
+    centre = np.array(stated.get("centre", float(stated.get("off_centre", 0.0)) * rng.standard_normal((n, 3))), dtype=float)
+    if centre.shape != (n, 3):
+        raise SimError(f"{where}: compliance: centre needs {n} points, m")
     hidden = []
     for i, item in enumerate(data.get("effects") or []):
         name = item.get("effect") if isinstance(item, dict) else item
         if name not in EFFECTS:
             raise SimError(f"{where}: effects[{i}]: '{name}' is not known; there are {', '.join(EFFECTS)}")
         effect = EFFECTS[name]
-        drawn = effect.draw(np.random.default_rng([seed, 72, sorted(EFFECTS).index(name)]))
+        drawn = effect.draw(np.random.default_rng([seed, 72, zlib.crc32(name.encode())]))
         stated_parameters = (item.get("parameters") or {}) if isinstance(item, dict) else {}
-        unknown = set(stated_parameters) - set(drawn)
+        unknown = {str(key) for key in stated_parameters} - set(drawn)
         if unknown:
             raise SimError(
                 f"{where}: effects[{i}] {name}: no parameter {', '.join(sorted(unknown))}; there are {', '.join(drawn)}"
             )
+        for key, value in stated_parameters.items():
+            if not _same_shape(value, drawn[key]):
+                raise SimError(f"{where}: effects[{i}] {name}: {key} is {value!r}, a value like {plain(drawn[key])!r} is needed")
         scale = float(item.get("scale", 1.0)) if isinstance(item, dict) else 1.0
-        hidden.append(Hidden(name, {**drawn, **stated_parameters}, scale))
-    return Truth(axial, transverse, float(data.get("background_friction", _BACKGROUND_FRICTION)), tuple(hidden))
+        background = isinstance(item, dict) and bool(item.get("background", False))
+        hidden.append(Hidden(name, {**drawn, **stated_parameters}, scale, background))
+    friction = float(data.get("background_friction", _BACKGROUND_FRICTION))
+    truth = Truth(axial, transverse, friction, tuple(hidden), centre)
+    try:
+        truth.physics()
+    except (IndexError, TypeError, ValueError, KeyError) as error:  # a joint that is not there, a station that is a fraction
+        raise SimError(f"{where}: effects: a parameter has no meaning: {error}") from error
+    return truth

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from .kinematics import Array
-from .parameters import Balancer, PlantParameters
+from .laws import GearCurve
+from .parameters import Balancer, Hose, PlantParameters
 from .sensing import SensingParameters
 
 Parameters = dict[str, Any]
@@ -29,10 +30,16 @@ class Physics:
 
 @dataclass(frozen=True)
 class TruthEffect:
-    """draw: parameters from a generator; apply: physics changed by the effect at a scale of its magnitude."""
+    """draw: parameters from a generator; apply: physics changed by the effect at a scale of its magnitude.
+
+    fixed: parameters that say where or what, not how much.
+    variables: what an effect depends on, as columns of a session, `tau_k` or `load_case`, for effects without a name.
+    """
 
     draw: Callable[[np.random.Generator], Parameters]
     apply: Callable[[Physics, Parameters, float], Physics]
+    fixed: tuple[str, ...] = ()
+    variables: Callable[[Parameters], list[str]] = lambda p: []
 
 
 def direction(rng: np.random.Generator) -> list[float]:
@@ -42,18 +49,28 @@ def direction(rng: np.random.Generator) -> list[float]:
 
 
 def plant_effect(
-    draw: Callable[[np.random.Generator], Parameters], change: Callable[[PlantParameters, Parameters, float], Parameters]
+    draw: Callable[[np.random.Generator], Parameters],
+    change: Callable[[PlantParameters, Parameters, float], Parameters],
+    variables: Callable[[Parameters], list[str]] = lambda p: [],
 ) -> TruthEffect:
     """An effect that changes fields of the plant."""
-    return TruthEffect(draw, lambda physics, p, s: replace(physics, plant=replace(physics.plant, **change(physics.plant, p, s))))
+    return TruthEffect(
+        draw,
+        lambda physics, p, s: replace(physics, plant=replace(physics.plant, **change(physics.plant, p, s))),
+        variables=variables,
+    )
 
 
 def sensing_effect(
-    draw: Callable[[np.random.Generator], Parameters], change: Callable[[SensingParameters, Parameters, float], Parameters]
+    draw: Callable[[np.random.Generator], Parameters],
+    change: Callable[[SensingParameters, Parameters, float], Parameters],
+    variables: Callable[[Parameters], list[str]] = lambda p: [],
 ) -> TruthEffect:
     """An effect that changes fields of the instruments."""
     return TruthEffect(
-        draw, lambda physics, p, s: replace(physics, sensing=replace(physics.sensing, **change(physics.sensing, p, s)))
+        draw,
+        lambda physics, p, s: replace(physics, sensing=replace(physics.sensing, **change(physics.sensing, p, s))),
+        variables=variables,
     )
 
 
@@ -102,13 +119,103 @@ def _couple(plant: PlantParameters, p: Parameters, s: float) -> Parameters:
     return {"coupling": C}
 
 
+def _draw_hysteresis(rng: np.random.Generator) -> Parameters:
+    return {
+        "per_joint": list(rng.uniform(0.1, 0.3, 6)), "form": str(rng.choice(["sliders", "presliding"])),
+        "presliding": float(rng.uniform(2.0, 8.0)), "unrelaxed": float(rng.uniform(0.0, 0.6)),
+        "release": float(np.exp(rng.uniform(np.log(1e-3), np.log(2e-2)))),
+    }  # fmt: skip
+
+
 def _hysteresis(plant: PlantParameters, p: Parameters, s: float) -> Parameters:
     """Part of each gear's compliance comes to lie behind friction, so that the arm is not much softer but remembers."""
     share = np.minimum(s * np.array(p["per_joint"]), 2.0)
     return {
         "friction": plant.friction + share / np.maximum(1.0 - 0.4 * share, 0.2),
         "axial": plant.axial * np.maximum(1.0 - 0.4 * share, 0.2),
-    }
+        "friction_form": p["form"], "presliding": p["presliding"], "unrelaxed": p["unrelaxed"], "release": p["release"],
+    }  # fmt: skip
+
+
+_FULL_TORQUE = np.array([250.0, 300.0, 220.0, 80.0, 80.0, 50.0])  # N m, about 3-5 % of what the gears are rated for
+
+
+def _draw_curve(rng: np.random.Generator) -> Parameters:
+    """A soft zone in four steps, as tables of gears show it."""
+    return {
+        "joint": _some_joint(rng), "share": 1.0, "torque": list(np.cumsum(rng.uniform(0.3, 1.4, 4))),
+        "fall": list(np.sort(rng.uniform(0.05, 1.0, 3))[::-1]),
+    }  # fmt: skip
+
+
+def _curve(plant: PlantParameters, p: Parameters, s: float) -> Parameters:
+    """Table of one gear with the same further angle at large torque, share * compliance * soft zone, whatever its course."""
+    k = p["joint"] - 1
+    torque = np.r_[0.0, p["torque"]] * _FULL_TORQUE[k]
+    course = np.r_[1.0, p["fall"], 0.0]
+    area = float((0.5 * (course[1:] + course[:-1]) * np.diff(torque)).sum())
+    top = s * p["share"] * plant.axial[k] * _FULL_TORQUE[k] / area
+    return {"curves": (*plant.curves, GearCurve(p["joint"], torque, top * course))}
+
+
+def _draw_play(rng: np.random.Generator) -> Parameters:
+    joint = _some_joint(rng, (1, 3, 4, 5))
+    full = {1: 150.0, 3: 120.0, 4: 40.0, 5: 40.0}[joint]
+    return {
+        "joint": joint, "width": 1e-4, "torque": float(full * np.exp(rng.uniform(np.log(0.15), np.log(1.5)))),
+        "sharpness": float(rng.uniform(1.5, 6.0)),
+    }  # fmt: skip
+
+
+def _play(plant: PlantParameters, p: Parameters, s: float) -> Parameters:
+    torque = plant.backlash_torque.copy()
+    torque[p["joint"] - 1] = p["torque"]
+    return {
+        "backlash": at_joint(plant.backlash, p["joint"], s * p["width"] / 2), "backlash_torque": torque,
+        "backlash_sharpness": p["sharpness"],
+    }  # fmt: skip
+
+
+def _draw_creep(rng: np.random.Generator) -> Parameters:
+    weight = rng.uniform(0.2, 1.0, 3)
+    return {
+        "per_joint": list(rng.uniform(0.5, 1.5, 6) * 0.2), "time": float(rng.uniform(5.0, 25.0)),
+        "spread": float(rng.uniform(1.5, 6.0)), "weights": list(weight / weight.sum()),
+    }  # fmt: skip
+
+
+def _creep(plant: PlantParameters, p: Parameters, s: float) -> Parameters:
+    """Three Maxwell branches per gear, one faster and one slower than the middle one."""
+    times = p["time"] * np.array([1.0 / p["spread"], 1.0, p["spread"]])
+    return {"creep": plant.creep + s * np.array(p["per_joint"]), "creep_times": times, "creep_weights": np.array(p["weights"])}
+
+
+def _draw_rail(rng: np.random.Generator) -> Parameters:
+    return {
+        **_base(rng), "floor": float(rng.uniform(0.05, 0.3)), "place": float(rng.uniform(-1.2, 1.2)),
+        "width": float(rng.uniform(0.3, 0.9)),
+    }  # fmt: skip
+
+
+def _draw_hose(rng: np.random.Generator) -> Parameters:
+    """Fixed on the floor or a frame beside the cell, or on the forearm."""
+    on_arm = bool(rng.random() < 0.5)
+    attach = 0.15 * np.array(direction(rng))
+    if on_arm:
+        anchor, reach, link = rng.uniform([-0.4, -0.3, -0.3], [0.6, 0.3, 0.3]), 1.2, 3
+    else:
+        anchor, reach, link = rng.uniform([-0.5, -2.0, 0.0], [2.5, 2.0, 3.5]), 2.0, 0
+    return {
+        "attach": list(attach), "anchor": list(anchor), "link": link, "tension": 50.0, "reach": reach,
+        "stretch": float(rng.uniform(0.4, 2.0)), "wrist": list(rng.uniform(-0.4, 0.4, 2)),
+    }  # fmt: skip
+
+
+def _hose(plant: PlantParameters, p: Parameters, s: float) -> Parameters:
+    return {
+        "hose": Hose(np.array(p["attach"]), np.array(p["anchor"]), p["link"], s * p["tension"], p["reach"], p["stretch"],
+                     np.array(p["wrist"]))
+    }  # fmt: skip
 
 
 def _traceless(rng: np.random.Generator) -> Parameters:
@@ -119,7 +226,7 @@ def _traceless(rng: np.random.Generator) -> Parameters:
 
 def _station_shift(sensing: SensingParameters, p: Parameters, s: float) -> Parameters:
     return {
-        "station_shift": s * 1e-4 * np.array(p["direction"]),
+        "station_shift": s * p["size"] * np.array(p["direction"]),
         "shift_time": p["time"],
         "shift_share": p["share"],
         "shift_station": p["station"],
@@ -140,49 +247,25 @@ def _harmonics(rng: np.random.Generator) -> Parameters:
     }
 
 
-def _cable(rng: np.random.Generator) -> Parameters:
-    return {
-        "in_base": list(40.0 * np.array(direction(rng))), "in_tool": list(20.0 * np.array(direction(rng))),
-        "wrist": (rng.standard_normal((2, 3)) * 20.0).tolist(),
-    }  # fmt: skip
-
-
 CATALOGUE: dict[str, TruthEffect] = {
     "tool_compliance": plant_effect(_spring, lambda plant, p, s: {"tool": plant.tool + _six(p, s)}),
     "base_compliance": plant_effect(_base, lambda plant, p, s: {"base": plant.base + _six(p, s)}),
     "rail_compliance": plant_effect(
-        lambda rng: {**_base(rng), "middle": float(rng.uniform(0.05, 0.3))},
-        lambda plant, p, s: {"rail": plant.rail + _six(p, s), "rail_middle": p["middle"]},
+        _draw_rail,
+        lambda plant, p, s: {
+            "rail": plant.rail + _six(p, s), "rail_floor": p["floor"], "rail_place": p["place"], "rail_width": p["width"],
+        },
     ),
-    "joint_stiffening": plant_effect(
-        lambda rng: {"joint": _some_joint(rng, (1, 2, 3, 4, 5)), "share": 1.0},
-        lambda plant, p, s: {"soft_zone": at_joint(plant.soft_zone, p["joint"], s * p["share"])},
-    ),
-    "joint_backlash": plant_effect(
-        lambda rng: {"joint": _some_joint(rng, (1, 3, 4, 5)), "width": 1e-4},
-        lambda plant, p, s: {"backlash": at_joint(plant.backlash, p["joint"], s * p["width"] / 2)},
-    ),
-    "joint_hysteresis": plant_effect(
-        lambda rng: {"per_joint": list(rng.uniform(0.1, 0.3, 6))},
-        _hysteresis,
-    ),
+    "joint_stiffening": plant_effect(_draw_curve, _curve),
+    "joint_backlash": plant_effect(_draw_play, _play),
+    "joint_hysteresis": plant_effect(_draw_hysteresis, _hysteresis),
     "counterbalance": plant_effect(
         lambda rng: {"stiffness": float(rng.uniform(0.6, 1.4) * 2.5e7), "angle": float(rng.uniform(-2.9, -2.2))},
         lambda plant, p, s: {"balancer": Balancer(stiffness=s * p["stiffness"], angle=p["angle"])},
     ),
     "joint_coupling": plant_effect(_coupling, _couple),
-    "creep": plant_effect(
-        lambda rng: {"per_joint": list(rng.uniform(0.5, 1.5, 6) * 0.2), "time": float(rng.uniform(5.0, 25.0))},
-        lambda plant, p, s: {"creep": plant.creep + s * np.array(p["per_joint"]), "creep_time": p["time"]},
-    ),
-    "external_force": plant_effect(
-        _cable,
-        lambda plant, p, s: {
-            "cable_in_base": s * np.array(p["in_base"]),
-            "cable_in_tool": s * np.array(p["in_tool"]),
-            "cable_wrist": s * np.array(p["wrist"]),
-        },
-    ),
+    "creep": plant_effect(_draw_creep, _creep),
+    "external_force": plant_effect(_draw_hose, _hose),
     "geometry_error": plant_effect(
         _geometry,
         lambda plant, p, s: {
@@ -207,7 +290,9 @@ CATALOGUE: dict[str, TruthEffect] = {
         lambda rng: {"scale": float(rng.choice([-1, 1]) * 5e-3)}, lambda sensing, p, s: {"tracker_scale": s * p["scale"]}
     ),
     "station_shift": sensing_effect(
-        lambda rng: {"direction": direction(rng), "share": float(rng.uniform(0.25, 0.75)), "time": 120.0, "station": 0},
+        lambda rng: {
+            "direction": direction(rng), "size": 1e-4, "share": float(rng.uniform(0.25, 0.75)), "time": 120.0, "station": 0,
+        },
         _station_shift,
     ),
     "thermal_drift": sensing_effect(

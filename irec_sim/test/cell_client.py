@@ -52,6 +52,7 @@ class Client:
         self.node = rclpy.create_node("client")
         self.follows = True
         self.told = 0.0
+        self.pressing: tuple[float, float, float] | None = None  # set point that is renewed while waiting, N
         self.got: dict[str, list[Any]] = defaultdict(list)
         for topic, kind in STREAMS.items():
             self.node.create_subscription(kind, topic, self.got[topic].append, 2000)
@@ -62,6 +63,7 @@ class Client:
         self.course = self.node.create_client(Trigger, "sim/run_course")
         self.clear = self.node.create_client(Trigger, "sim/clear_fault")
         self.offset = self.node.create_publisher(TransformStamped, "irec/offset", 10)
+        self.force = self.node.create_publisher(WrenchStamped, "robot/force_setpoint", 10)
         self.follower = self.node.create_publisher(Header, "sim/follower", 10)
         self._executor = EventsExecutor()
         self._executor.add_node(self.node)
@@ -81,7 +83,15 @@ class Client:
             if self.follows and self.got["/clock"] and self.now > self.told + FOLLOWING:
                 self.told = self.now
                 self.follower.publish(Header(stamp=self.got["/clock"][-1].clock, frame_id="client"))
+                self._renew()
         return condition()
+
+    def _renew(self) -> None:
+        if self.pressing is not None:
+            message = WrenchStamped()
+            message.header.frame_id = "tool0"
+            message.wrench.force = Vector3(**dict(zip("xyz", self.pressing, strict=True)))
+            self.force.publish(message)
 
     def wait_for_cell(self) -> None:
         ready = (self.move.server_is_ready, self.mode.service_is_ready, lambda: all(self.got[topic] for topic in STREAMS))
@@ -127,6 +137,7 @@ class Client:
         return Move.Goal(kind=Move.Goal.LINEAR, pose=pose, speed=speed)
 
     def switch(self, mode: int, force: Sequence[float] = (0.0, 0.0, 0.0)) -> Any:
+        self.pressing = tuple(map(float, force)) if mode == RobotState.MODE_FORCE else None  # type: ignore[assignment]
         request = SetControlMode.Request(mode=mode, force_in_tool=Vector3(**dict(zip("xyz", map(float, force), strict=True))))
         return self.call(self.mode, request)
 

@@ -180,6 +180,24 @@ def test_going_back_to_position_control_does_not_move_the_robot(fast_cell: Clien
     assert np.abs(np.array(cell.last("joint_states").position) - before).max() < 2e-5
 
 
+def test_a_client_that_falls_silent_while_it_presses_is_left_by_the_robot(fast_cell: Client) -> None:
+    cell = fast_cell
+    press(cell)
+    cell.wait(lambda: cell.last("wrench").wrench.force.z < -1080.0, "force")
+    state, begin = cell.last("robot/state"), cell.now
+    assert state.mode == RobotState.MODE_FORCE and state.expired_leases == 0 and not state.message
+    cell.pressing = None
+    cell.wait(lambda: cell.last("robot/state").expired_leases == 1, "end of the lease")
+    cell.wait(lambda: not cell.last("robot/state").retreating, "end of the way back")
+    assert cell.now - begin < 3.0
+    assert cell.last("robot/state").mode == RobotState.MODE_POSITION
+    assert "no force set point came for 0.5 s" in cell.last("robot/state").message
+    assert abs(cell.last("wrench").wrench.force.z) < 20.0
+    answer = cell.switch(RobotState.MODE_POSITION)
+    assert answer.success and answer.force_lease == 0.5 and answer.retract_distance == 0.02
+    cell.wait(lambda: not cell.last("robot/state").message, "state without a message")
+
+
 def test_an_offset_is_applied_held_and_faded(ros_domain: int, start_process: Start) -> None:
     start_process(cell_arguments(speed_factor=1.0), name="cell")
     with client() as cell:

@@ -3,8 +3,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from irec_sim.cellfile import read_cell
+from irec_sim.cellfile import Patch, read_cell
 from irec_sim.contact import RING_PRESSURE, RING_STIFFNESS, Contact, Disc, contact_force, solve_contact
+from irec_sim.mesh import Mesh
 
 DISC = Disc()
 NORMAL = np.array([0.6, 0.0, 0.8])
@@ -116,3 +117,17 @@ def test_the_contact_works_on_the_mould():
     force, _, _ = contact_force(DISC, cell.surface.gap, p - 2e-4 * n, Contact())
     assert force @ n == pytest.approx(np.linalg.norm(force), rel=1e-6)
     assert 700.0 < force @ n < 1000.0
+
+
+def test_a_mesh_and_the_patch_that_it_stands_for_have_the_same_gap_and_normal():
+    patch = Patch((1.0, 1.6), (2.0, 2.5), np.eye(3), np.array([1.0, 0.0, 0.5]))
+    u, v = np.linspace(-0.5, 0.5, 41), np.linspace(-0.8, 0.8, 65)
+    p = patch.point(*(g.ravel() for g in np.meshgrid(u, v, indexing="ij")))[0].reshape(41, 65, 3)
+    quads = [(p[i, j], p[i + 1, j], p[i + 1, j + 1], p[i, j + 1]) for i in range(40) for j in range(64)]
+    mesh = Mesh(np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+    rng = np.random.default_rng(2)
+    for x, y, height in rng.uniform((-0.4, -0.7, -0.003), (0.4, 0.7, 0.003), (30, 3)):
+        surface, normal = (a[0] for a in patch.point(np.array([x]), np.array([y])))
+        gap, n = mesh.gap(surface + height * normal)
+        assert gap == pytest.approx(height, abs=1.2e-4)  # facets of 25 mm on radii of 2 m lie 40 um inside
+        assert float(n @ normal) > 0.9999

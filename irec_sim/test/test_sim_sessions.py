@@ -1,19 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from irec_sim.absolute import MISHAPS as ABSOLUTE_MISHAPS
 from irec_sim.cellfile import read_cell
 from irec_sim.cli import main
 from irec_sim.errors import SimError
-from irec_sim.hidden import Case, write_matrix
+from irec_sim.hidden import draw_session, write_matrix
 from irec_sim.kinematics import forward
+from irec_sim.matrix import Case, matrix_cases
+from irec_sim.mishaps import KINDS
+from irec_sim.noise import TrueNoise, claimed_over_true, draw_claim, marker_noise
 from irec_sim.observe import simulate
+from irec_sim.oracle import Replay, consult
+from irec_sim.outside import GRAMMAR, OUTSIDE
 from irec_sim.plant import Plant
 from irec_sim.poses import spread_poses
-from irec_sim.session import effect_share, generate, make_schedule, scale_to_share, write_session
+from irec_sim.sensing import force_reading, true_force
+from irec_sim.session import Conduct, effect_share, generate, make_schedule, scale_to_share, write_session
 from irec_sim.truth import EFFECTS, make_truth, read_truth
 from irec_sim.truth_catalogue import CATALOGUE
 
@@ -85,14 +93,93 @@ def test_the_marker_shows_the_deflection_but_for_the_turn_of_the_tool(written):
     assert 0 < np.abs(difference).max() < 1e-4
 
 
-def test_noise_of_the_marker_is_what_the_header_states():
+def test_noise_of_the_marker_is_the_linear_sum_that_the_header_states():
     made = generate(AFP, make_truth("afp", [], 1), 40, seed=0)
-    error = made.markers[0] - made.rows[0].p_marker
+    error = made.passes[0].marker - made.rows[0].p_marker
     noise = AFP.noise
-    sigma = np.sqrt(noise["tracker_m"] ** 2 + (noise["tracker_m_per_m"] * made.rows[0].distance) ** 2 + noise["settling_m"] ** 2)
+    sigma = np.hypot(noise["tracker_m"] + noise["tracker_m_per_m"] * made.rows[0].distance, noise["settling_m"])
     assert (error / sigma[..., None]).std() == pytest.approx(1.0, abs=0.08)
-    force = made.forces[0] - made.rows[0].force_reading
+    force = made.passes[0].force - made.rows[0].force_reading
     assert force.std() == pytest.approx(noise["force_n"], rel=0.1)
+
+
+QUIET = TrueNoise(10e-6, 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("tail", ["normal", "student", "contaminated"])
+@pytest.mark.parametrize("slow_share", [0.0, 0.7])
+def test_tails_and_slow_wandering_leave_the_standard_deviation_as_it_is(tail, slow_share):
+    noise = replace(QUIET, tail=tail, dof=6.0, slow_share=slow_share)
+    n = 20000
+    error = marker_noise(noise, 30.0 * np.arange(n), np.zeros(n, int), np.full(n, 4.0), np.random.default_rng(0))
+    assert error.std() == pytest.approx(10e-6, rel=0.05)
+
+
+def test_heavy_tails_are_heavier_than_normal():
+    n = 20000
+    size = {}
+    for tail in ("normal", "student", "contaminated"):
+        noise = replace(QUIET, tail=tail)
+        error = marker_noise(noise, np.arange(n) * 1.0, np.zeros(n, int), np.full(n, 4.0), np.random.default_rng(0))
+        size[tail] = (np.abs(error) > 40e-6).mean()
+    assert size["student"] > 10 * size["normal"] and size["contaminated"] > 10 * size["normal"]
+
+
+def test_slow_noise_is_alike_within_seconds_and_forgotten_after_minutes_and_apart_per_station():
+    noise = replace(QUIET, slow_share=1.0, slow_time=60.0)
+    n = 20000
+    station = np.arange(n) % 2
+    error = marker_noise(noise, np.repeat(np.arange(n // 2) * 6.0, 2), station, np.full(n, 4.0), np.random.default_rng(0))
+    a, b = error[::2, 0], error[1::2, 0]
+    assert np.corrcoef(a[:-1], a[1:])[0, 1] == pytest.approx(np.exp(-0.1), abs=0.05)
+    assert abs(np.corrcoef(a[:-60], a[60:])[0, 1]) < 0.1 and abs(np.corrcoef(a, b)[0, 1]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("way", "low", "high"), [("factor", 0.5, 2.0), ("settling_left_out", 0.3, 0.99), ("root_sum", 0.6, 0.99)]
+)
+def test_a_wrong_claim_is_wrong_within_a_factor_of_two(way, low, high):
+    noise = TrueNoise(10e-6, 3e-6, 3e-6, 1.0)
+    for seed in range(10):
+        factor = claimed_over_true(draw_claim(noise, way, np.random.default_rng(seed)), noise, np.array([3.0, 5.0]))
+        assert low - 1e-3 <= factor <= high + 1e-3 and abs(np.log(factor)) > 0.02
+    assert claimed_over_true(draw_claim(noise, "right", np.random.default_rng(0)), noise, np.array([4.0])) == pytest.approx(1.0)
+
+
+def test_load_cases_in_random_order_have_an_order_of_their_own_in_each_pose(tmp_path):
+    made = generate(AFP, make_truth("afp", [], 1), 8, seed=3, conduct=Conduct(random_order=True))
+    write_session(made, tmp_path / "s", "s")
+    orders = [tuple(int(r["load_case"]) for r in _rows(tmp_path / "s") if int(r["pose"]) == i) for i in range(1, 9)]
+    assert all(order[0] == 0 and sorted(order) == list(range(6)) for order in orders) and len(set(orders)) > 4
+    case, force = _table(tmp_path / "s", "load_case")[:, 0], _table(tmp_path / "s", "force_x", "force_y", "force_z")
+    assert (force[case == 2, 0] > 250.0).all() and (force[case == 4, 1] < -250.0).all()
+
+
+def test_repeats_of_some_poses_count_up_from_zero(tmp_path):
+    made = generate(AFP, make_truth("afp", [], 1), 6, seed=3, conduct=Conduct(repeats=3, repeated_poses=2))
+    write_session(made, tmp_path / "s", "s")
+    keys = [(r["pose"], r["load_case"], int(r["repeat"])) for r in _rows(tmp_path / "s")]
+    assert len(keys) == len(set(keys)) == 6 * 6 + 2 * 2 * 6
+    assert len({k[0] for k in keys if k[2] == 1}) == 2 and {k[0] for k in keys if k[2] == 1} == {k[0] for k in keys if k[2] == 2}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_mishap_spoils_the_rows_that_the_truth_says_and_no_others(kind):
+    truth = make_truth("afp", [], 1)
+    plain = generate(AFP, truth, 6, seed=3, conduct=Conduct(random_order=True))
+    spoiled = generate(AFP, truth, 6, seed=3, conduct=Conduct(random_order=True, mishap=kind))
+    (mishap,) = spoiled.mishaps
+    a, b = plain.passes[0], spoiled.passes[0]
+    moved = [(x != y).reshape(6, 6, -1).any(axis=2) for x, y in ((a.marker, b.marker), (a.q, b.q), (a.force, b.force))]
+    changed = np.any(moved, axis=0)
+    if kind == "reseated_reflector":  # stays where it is put: later poses see it at their reference too
+        changed[np.arange(6) > np.flatnonzero(a.pose == mishap.pose)[0]] = False
+    i = int(np.flatnonzero(a.pose == mishap.pose)[0])
+    assert list(np.flatnonzero(changed.any(axis=1))) == [i]
+    if kind == "bumped_reference":
+        assert list(np.flatnonzero(changed[i])) == [0] and set(mishap.load_cases) == set(range(1, 6))
+    else:
+        assert {int(c) for c in a.case[i][changed[i]]} == set(mishap.load_cases)
 
 
 def test_the_same_seed_gives_the_same_session_and_another_seed_another(tmp_path):
@@ -115,13 +202,13 @@ def test_the_stiffness_of_the_truth_is_what_the_deflection_shows():
 
 @pytest.mark.parametrize("effect", sorted(set(EFFECTS) - {"encoder_harmonics"}))
 def test_every_effect_reaches_the_share_asked_for(effect):
-    for seed in range(4):  # play on an axis whose torque never changes sign doesn't show
-        truth, shown = scale_to_share(AFP, make_truth("afp", [effect], 5 + seed), 0.08, poses=10)
+    for seed in range(8):  # some draws don't show: play on an axis whose torque never changes sign, torque of an idle axis
+        truth, shown = scale_to_share(AFP, make_truth("afp", [effect], 5 + seed), 0.08, poses=8)
         if shown:
             break
     assert shown == {effect}
     rng = np.random.default_rng([0, 2])
-    schedule = make_schedule(AFP, spread_poses(AFP, 10, rng), 0.0, rng)
+    schedule = make_schedule(AFP, spread_poses(AFP, 8, rng), 0.0, rng)
     before = simulate(AFP, truth.without(effect).physics(), schedule)
     assert effect_share(AFP, truth, effect, schedule, before) == pytest.approx(0.08, rel=0.03)
 
@@ -143,7 +230,22 @@ def test_the_catalogue_of_the_contract_is_complete():
         "encoder_harmonics", "external_force",
     }  # fmt: skip
     assert set(CATALOGUE) == names
-    assert len(set(EFFECTS) - names) >= 4
+    assert len(GRAMMAR) >= 10 and len(set(EFFECTS) - names) >= 20
+
+
+@pytest.mark.parametrize("name", sorted(OUTSIDE))
+def test_a_cause_without_a_name_says_which_columns_show_it(name):
+    columns = {"load_case", "stamp", "ext_rail", *(f"force_{a}" for a in "xyz"), "temp_ambient"}
+    columns |= {f"{v}_{k}" for v in ("joint", "tau", "temp_gear") for k in range(1, 7)}
+    for seed in range(5):
+        said = OUTSIDE[name].variables(OUTSIDE[name].draw(np.random.default_rng(seed)))
+        assert said and set(said) <= columns
+
+
+def test_the_same_kind_of_sentence_says_something_else_each_time():
+    kinds = [OUTSIDE["stiffness_of_two_angles"].draw(np.random.default_rng(seed)) for seed in range(8)]
+    assert len({(p["place"], p["joint"], *p["variables"]) for p in kinds}) > 4
+    assert len({p["phase"][0] for p in kinds}) == 8
 
 
 def test_what_only_the_instruments_see_does_not_deflect_the_tcp():
@@ -179,7 +281,7 @@ def test_truth_files_of_the_repository_can_be_read_and_written_again(path, tmp_p
         ("format: irec-truth/1\neffects: [{effect: gremlins}]", "'gremlins' is not known"),
         ("format: irec-truth/1\neffects: [{effect: creep, parameters: {speed: 1}}]", "no parameter speed"),
         ("format: irec-truth/1\ncompliance: {axial: [1.0e-7]}", "axial needs 6 positive values"),
-        ("a: [", "can't be read"),
+        ("a: [", "not YAML"),
     ],
 )
 def test_a_wrong_truth_file_is_refused_with_file_and_reason(text, message, tmp_path):
@@ -222,7 +324,7 @@ def test_an_existing_folder_is_not_overwritten(tmp_path, capsys):
 
 
 def test_a_blind_matrix_keeps_names_opaque_and_the_truth_apart(tmp_path):
-    cases = [Case("clean", (), 0.0), Case("single", ("tool_compliance",), 0.08), Case("outside", ("taper",), 0.15)]
+    cases = [Case("clean"), Case("single", ("tool_compliance",), 0.08), Case("outside", ("taper",), 0.15, mishap="jump")]
     truth = write_matrix(tmp_path / "m", 4, cases, poses=4, validation_poses=3)
     with open(truth / "matrix.csv", encoding="utf-8") as f:
         rows = list(csv.DictReader(f))
@@ -234,4 +336,75 @@ def test_a_blind_matrix_keeps_names_opaque_and_the_truth_apart(tmp_path):
         assert len(_rows(tmp_path / "m" / "sessions" / row["name"])) == 4 * 6
         with open(truth / row["name"] / "truth.csv", encoding="utf-8") as f:
             assert len(list(csv.DictReader(f))) == 3 * 5
+        told = yaml.safe_load((truth / row["name"] / "truth.yaml").read_text())
+        assert {"effects", "noise", "claim", "mishaps", "oracle"} <= set(told)
+        assert read_truth(truth / row["name"] / "truth.yaml", row["cell"]).as_data()["effects"] == told["effects"]
     assert truth.parent == tmp_path and not list((tmp_path / "m").rglob("truth*"))
+
+
+def test_half_of_the_sessions_of_each_kind_state_their_noise_wrongly_and_a_third_have_a_mishap():
+    cases = matrix_cases(np.random.default_rng(0))
+    for kind in {c.kind for c in cases}:
+        some = [c for c in cases if c.kind == kind]
+        assert sum(c.claim != "right" for c in some) == pytest.approx(len(some) / 2, abs=1)
+        share = 1.0 if kind == "robust" else 1 / 3
+        assert sum(bool(c.mishap) for c in some) == pytest.approx(share * len(some), abs=1)
+    assert sum(c.kind == "many" for c in cases) / len(cases) == pytest.approx(0.25, abs=0.02)
+    assert {c.mishap for c in cases} == {"", *KINDS, *ABSOLUTE_MISHAPS}
+
+
+def test_a_quick_matrix_has_about_forty_sessions_and_the_size_scales_it():
+    quick = matrix_cases(np.random.default_rng(0), quick=True)
+    assert 35 <= len(quick) <= 50
+    full, half = (len(matrix_cases(np.random.default_rng(0), size=s)) for s in (1.0, 0.5))
+    assert half == pytest.approx(full / 2, abs=4)
+    assert {c.kind for c in matrix_cases(np.random.default_rng(0), only=["many", "clean"])} == {"many", "clean"}
+
+
+CELLS = {"afp": AFP, "milling": MILLING}
+
+
+def test_the_oracle_sees_a_strong_effect_and_gains_by_knowing_it():
+    drawn = draw_session(Case("single", ("joint_coupling",), 0.15), 3, 20, 12, CELLS)
+    (seen,) = drawn.oracle.seen
+    assert seen.visible and seen.nats > 50.0
+    assert drawn.oracle.oracle_m < 0.5 * drawn.oracle.base_m
+
+
+@pytest.mark.parametrize("effect", ["encoder_harmonics", "joint_backlash"])
+def test_the_oracle_does_not_see_what_does_not_show(effect):
+    truth = make_truth("milling", [effect], 5)
+    truth = truth.scaled(effect, 1e-3)
+    made, check = (generate(MILLING, truth, n, seed=n) for n in (15, 10))
+    assert not consult(made, check, truth).seen[0].visible
+
+
+def test_a_mishap_does_not_blind_the_oracle():
+    case = Case("single", ("sensor_alignment",), 0.1, mishap="jump")
+    spoiled, plain = (draw_session(c, 3, 20, 12, CELLS) for c in (case, replace(case, mishap="")))
+    assert spoiled.oracle.oracle_m == pytest.approx(plain.oracle.oracle_m, rel=0.3)
+
+
+def test_the_oracles_replay_of_the_truth_is_what_the_plant_did():
+    effects = ["tool_compliance", "joint_hysteresis", "creep", "sensor_gain", "rail_compliance", "external_force", "sensor_lag"]
+    truth = make_truth("afp", effects, 5, off_centre=0.05)
+    made = generate(AFP, truth, 6, seed=2, conduct=Conduct(random_order=True))
+    _, tcp = Replay(made, 0, truth.physics(), made.rows[0].force_reading)(truth.physics())
+    assert np.abs(tcp - made.rows[0].deflection).max() < 2e-7
+
+
+def test_the_true_force_is_read_back_from_the_reading():
+    physics = make_truth("afp", ["sensor_gain", "sensor_alignment", "tool_weight"], 5).physics()
+    rng = np.random.default_rng(0)
+    force, R = rng.normal(0, 500, (4, 3)), forward(AFP.chain, rng.uniform(-1, 1, (4, 6))).R_tool
+    read = force_reading(physics.sensing, AFP.sensor_axis, force, R)
+    assert np.abs(read - force).max() > 5.0
+    assert np.allclose(true_force(physics.sensing, AFP.sensor_axis, read, R), force, atol=1e-9)
+
+
+def test_what_passes_with_time_is_no_part_of_the_true_deflection():
+    rng = np.random.default_rng(0)
+    schedule = make_schedule(AFP, spread_poses(AFP, 4, rng), 0.0, rng)
+    plain, drifting = (simulate(AFP, make_truth("afp", e, 1).physics(), schedule) for e in ([], ["thermal_drift"]))
+    assert np.abs(plain.deflection - drifting.deflection).max() < 1e-9
+    assert np.abs(plain.apparent_deflection(AFP) - drifting.apparent_deflection(AFP)).max() > 1e-6

@@ -21,9 +21,9 @@ import numpy as np
 import pinocchio as pin
 from irec_calibration.effects import find_effect
 from irec_calibration.model import Envelope, Estimate, Model, Term
-from irec_calibration.model_file import save_model
+from irec_calibration.model.file import save_model
 from irec_calibration.robot import Robot
-from irec_calibration.tool_load import ToolLoad
+from irec_calibration.sensors.tool_load import ToolLoad
 from irec_correction.conditioning import Conditioner, FilterSettings, make_filters, sensor_in_tool
 from irec_correction.correction import Correction, CorrectionSettings
 from irec_correction.deflection import Deflection

@@ -24,13 +24,13 @@ from pathlib import Path
 import numpy as np
 from irec_calibration.cell import Cell, read_cell
 from irec_calibration.codec import RIDGE, PoseData, pose_data, run_codec
-from irec_calibration.identify import fit, observe_with_force_noise
+from irec_calibration.identification.identify import fit, observe_with_force_noise
+from irec_calibration.identification.system import System, linearise
 from irec_calibration.model import EIGHTEEN_DOF, blank_model
 from irec_calibration.poses.blocks import gram, identifiable_subspace, observation_blocks
 from irec_calibration.poses.pool import Pool, generate_pool
 from irec_calibration.poses.select import Candidates, cover, select_poses
 from irec_calibration.session import read_session
-from irec_calibration.system import System, linearise
 from scipy.optimize import lsq_linear, nnls
 
 ROOT = Path(__file__).resolve().parents[2]

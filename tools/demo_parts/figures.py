@@ -7,9 +7,9 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from irec_calibration.identification.observe import observe
 from irec_calibration.model import Model
-from irec_calibration.observe import observe
-from irec_calibration.recalibration import residual_of
+from irec_calibration.recertification.judgement import residual_of
 from irec_calibration.session import Session
 
 from .course import Course

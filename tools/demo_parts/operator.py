@@ -14,10 +14,11 @@ from rclpy.signals import SignalHandlerOptions
 
 from irec_msgs.action import Move, RunProcedure
 
-SERVER_WAIT = 30.0  # s
+SERVER_WAIT = 120.0  # s; a process that has ended is told at once
+SEEN = 1.5  # s in which the server of an action finds a client that has found it
 
 
-class AskedInVain(RuntimeError):
+class RequestRefused(RuntimeError):
     """A node does not answer, or refuses; the message says which and why."""
 
 
@@ -41,6 +42,12 @@ class Operator:
         self._watch()
         self._executor.spin_once(timeout_sec=seconds)
 
+    def wait_for_action(self, kind: Any, name: str) -> None:
+        """Return when a node offers the action."""
+        client = ActionClient(self.node, kind, name)
+        self._until(client.server_is_ready, SERVER_WAIT, f"action {name} is not there")
+        client.destroy()
+
     def call(self, kind: Any, name: str, request: Any, timeout: float, tell: Callable[[float], None] | None = None) -> Any:
         """Response of a service; tell(seconds waited) is called now and then."""
         client = self.node.create_client(kind, name)
@@ -54,6 +61,7 @@ class Operator:
         """Move the robot to joint angles, rad; speed is a share of the limits."""
         client = ActionClient(self.node, Move, "robot/move")
         self._until(client.server_is_ready, SERVER_WAIT, "action robot/move is not there")
+        self._wait_until_seen()
         names = [f"joint_{i + 1}" for i in range(len(q))]
         goal = Move.Goal(kind=Move.Goal.JOINT, joint_names=names, joint_position=[float(v) for v in q], speed=float(speed))
         accepted = client.send_goal_async(goal)
@@ -61,25 +69,36 @@ class Operator:
         result = accepted.result().get_result_async()
         self._until(result.done, timeout, "robot/move did not come to an end")
         if not result.result().result.success:
-            raise AskedInVain(f"robot/move: {result.result().result.message}")
+            raise RequestRefused(f"robot/move: {result.result().result.message}")
 
     def run_procedure(self, goal: RunProcedure.Goal, timeout: float, tell: Callable[[RunProcedure.Feedback], None]) -> Any:
-        """Result of irec/run_procedure. An interrupt cancels the run and waits until the robot has retracted."""
-        client = ActionClient(self.node, RunProcedure, "irec/run_procedure")
-        self._until(client.server_is_ready, SERVER_WAIT, "action irec/run_procedure is not there")
+        """Result of irec/run_procedure."""
+        return self.run_action(RunProcedure, "irec/run_procedure", goal, timeout, tell)
+
+    def run_action(self, kind: Any, name: str, goal: Any, timeout: float, tell: Callable[[Any], None]) -> Any:
+        """Result of an action. An interrupt cancels the run and waits until the robot has retracted."""
+        client = ActionClient(self.node, kind, name)
+        self._until(client.server_is_ready, SERVER_WAIT, f"action {name} is not there")
+        self._wait_until_seen()
         accepted = client.send_goal_async(goal, feedback_callback=lambda m: tell(m.feedback))
-        self._until(accepted.done, SERVER_WAIT, "irec/run_procedure did not accept the run")
+        self._until(accepted.done, SERVER_WAIT, f"{name} did not accept the run")
         handle = accepted.result()
         if not handle.accepted:
-            raise AskedInVain("irec/run_procedure refused the run")
+            raise RequestRefused(f"{name} refused the run")
         result = handle.get_result_async()
         try:
-            self._until(result.done, timeout, "irec/run_procedure did not come to an end")
+            self._until(result.done, timeout, f"{name} did not come to an end")
         except KeyboardInterrupt:
             handle.cancel_goal_async()
-            self._until(result.done, SERVER_WAIT, "irec/run_procedure did not end after it was cancelled")
+            self._until(result.done, SERVER_WAIT, f"{name} did not end after it was cancelled")
             raise
         return result.result().result
+
+    def _wait_until_seen(self) -> None:
+        """The server has to find this client too, which nobody can ask for; before that its answer would be lost."""
+        seen = time.monotonic() + SEEN
+        while time.monotonic() < seen:
+            self.spin(0.05)
 
     def _until(
         self, done: Callable[[], bool], timeout: float, otherwise: str, tell: Callable[[float], None] | None = None
@@ -91,4 +110,4 @@ class Operator:
             if tell is not None:
                 tell(waited)
             if waited > timeout:
-                raise AskedInVain(f"{otherwise} within {timeout:g} s")
+                raise RequestRefused(f"{otherwise} within {timeout:g} s")

@@ -16,7 +16,7 @@ class Progress:
         self._begun = time.monotonic()
         self._stage = ""
         self._stage_begun = self._begun
-        self._told = 0.0
+        self._printed = 0.0
         self._open_line = False
         self.wall_s: dict[str, float] = {}
 
@@ -30,7 +30,7 @@ class Progress:
         """Print a line that stays."""
         self._clear()
         print(f"[{time.monotonic() - self._begun:5.1f} s] {text}", flush=True)
-        self._told = time.monotonic()
+        self._printed = time.monotonic()
 
     def update(self, text: str) -> None:
         """Replace the present line (terminal), or print it if nothing was printed for a while."""
@@ -39,9 +39,9 @@ class Progress:
             self._clear()
             print(line[:118], end="", flush=True)
             self._open_line = True
-        elif time.monotonic() - self._told >= QUIET_S:
+        elif time.monotonic() - self._printed >= QUIET_S:
             print(line, flush=True)
-            self._told = time.monotonic()
+            self._printed = time.monotonic()
 
     def finish(self) -> dict[str, float]:
         """Wall times by stage and `total`, s."""

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Score what the tool said about a matrix of sessions against the truth.
 
-    python tools/hidden/score.py DIR DIR-truth OUT
+    python tools/hidden/score.py DIR-truth OUT [--json] [--quiet]
 
-An oracle that is told which effect is hidden fits the 18-DOF model with it to the same session. An effect is visible where
-the oracle gains significantly. Validation error: RMS difference between predicted and true deflection of the TCP at other
-poses. Where an effect was hidden in particular axes, the axes that the tool names are compared too; an axis that is named and
-has nothing hidden counts as a wrong name.
+Strict: a wrong name is wrong whatever else is said beside it, an axis in which nothing is hidden counts as a wrong name, and
+what could be found is what the truth's oracle sees. Validation error: RMS difference between predicted and true deflection
+of the TCP at other poses. Every rate is given for all sessions, and apart for those whose header states the noise as it is and
+those that state it wrongly.
 """
 
 from __future__ import annotations
@@ -15,218 +15,228 @@ import argparse
 import csv
 import json
 import sys
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
-from axes import AxisScore, axes_in_model, axes_in_text, axes_in_words, hidden_axes, score_axes
-from irec_calibration.diagnose import start_terms
-from irec_calibration.diagnose.held_out import held_out
-from irec_calibration.diagnose.improve import add_effect, versioned
-from irec_calibration.diagnose.study import prepare
-from irec_calibration.diagnose.tool_weight import reference_readings
-from irec_calibration.effects import find_effect
-from irec_calibration.errors import IrecError
-from irec_calibration.model import Model
-from irec_calibration.scene import scene_of
-from irec_calibration.session import read_session
+from answers import SERIOUS, Case, read_case
+from axes import axes_in_words
 
-NATS_VISIBLE = 5.0  # log evidence that the oracle must gain
+Choice = Callable[[Case], bool]
 
 
-@dataclass
-class Case:
-    """One session: what was hidden, what was said, validation errors in m."""
+@dataclass(frozen=True)
+class Rate:
+    """One line of the table: passed of how many, for all, noise claimed right, noise claimed wrongly."""
 
-    name: str
-    kind: str
-    strength: float
-    hidden: list[str]
-    status: str = ""
-    named: list[str] = field(default_factory=list)
-    confusable: list[str] = field(default_factory=list)
-    ranked: list[str] = field(default_factory=list)
-    depends_on: list[str] = field(default_factory=list)
-    axes: list[AxisScore] = field(default_factory=list)
-    visible: bool = False
-    before: float = float("nan")
-    after: float = float("nan")
-    oracle: float = float("nan")
-    seconds: float = float("nan")
+    key: str
+    label: str
+    goal: str
+    counts: tuple[tuple[float, int], ...]
 
-    @property
-    def first_right(self) -> bool:
-        return bool(self.named) and (self.named[0] in self.hidden or any(c in self.hidden for c in self.confusable))
-
-    @property
-    def among_three(self) -> bool:
-        return self.first_right or any(e in self.hidden for e in [*self.named, *self.ranked][:3])
-
-    @property
-    def wrong_axis(self) -> bool:
-        return any(a.is_wrong for a in self.axes)
-
-    @property
-    def right(self) -> bool:
-        expected = {"clean": "adequate", "outside": "unexplained"}.get(self.kind)
-        return self.first_right and not self.wrong_axis if expected is None else self.status == expected
-
-    @property
-    def wrong_with_confidence(self) -> bool:
-        return self.status == "missing_effect" and (not self.first_right or self.wrong_axis)
+    def share(self, column: int = 0) -> float:
+        passed, n = self.counts[column]
+        return passed / n if n else float("nan")
 
 
-def deflections(path: Path) -> dict[tuple[int, int, int], np.ndarray]:
-    """Deflection by (pose, load case, repeat), m."""
-    with path.open(encoding="utf-8") as file:
-        return {
-            (int(r["pose"]), int(r["load_case"]), int(r["repeat"])): np.array([float(r[f"deflection_{a}"]) for a in "xyz"])
-            for r in csv.DictReader(file)
-        }
+def rate(key: str, label: str, goal: str, cases: Iterable[Case], of: Choice, test: Choice) -> Rate:
+    """Share of the chosen cases that pass a test."""
+    chosen = [c for c in cases if of(c)]
+    parts = (chosen, [c for c in chosen if c.claim_right], [c for c in chosen if not c.claim_right])
+    return Rate(key, label, goal, tuple((float(sum(map(test, p))), len(p)) for p in parts))
 
 
-def validation_error(predicted: dict[tuple[int, int, int], np.ndarray], true: dict[tuple[int, int, int], np.ndarray]) -> float:
-    """RMS over samples of the norm of the difference, m."""
-    return float(np.sqrt(np.mean([((predicted[k] - v) ** 2).sum() for k, v in true.items()])))
+def names(key: str, label: str, goal: str, cases: Iterable[Case], of: Choice, count: Callable[[Case], tuple[int, int]]) -> Rate:
+    """Names counted over all chosen cases: (right, of how many) per case."""
+    chosen = [c for c in cases if of(c)]
+    parts = (chosen, [c for c in chosen if c.claim_right], [c for c in chosen if not c.claim_right])
+    sums = []
+    for p in parts:
+        pairs = [count(c) for c in p]
+        sums.append((float(sum(a for a, _ in pairs)), sum(b for _, b in pairs)))
+    return Rate(key, label, goal, tuple(sums))
 
 
-def oracle(folder: Path, case: Case, true: dict[tuple[int, int, int], np.ndarray]) -> tuple[bool, float]:
-    """Whether the hidden effects show, and the validation error of the model that has them."""
-    session = read_session(folder / "sessions" / case.name)
-    study = prepare(session, start_terms(session))
-    model: Model = versioned(study, held_out(study), None, "start")
-    gained = 0.0
-    for effect in case.hidden:
-        if effect == "tool_weight":
-            readings = reference_readings(study.ready, session.noise.force_n)
-            gained += readings.log_evidence if readings else 0.0
+def _precision(given: Callable[[Case], list[str]]) -> Callable[[Case], tuple[int, int]]:
+    return lambda c: (sum(e in (*c.hidden, *c.background) for e in given(c)), len(given(c)))
+
+
+def _recall(given: Callable[[Case], list[str]]) -> Callable[[Case], tuple[int, int]]:
+    return lambda c: (sum(e in given(c) for e in c.visible), len(c.visible))
+
+
+def _kind(*kinds: str) -> Choice:
+    return lambda c: c.kind in kinds
+
+
+def rates(cases: list[Case]) -> list[Rate]:
+    """All rates of the table."""
+
+    def clean(c: Case) -> bool:
+        return c.kind in ("clean", "robust") and not c.hidden
+
+    def strong(c: Case) -> bool:
+        return c.kind == "single" and c.sees_all and c.strength >= SERIOUS
+
+    def weak(c: Case) -> bool:
+        return c.kind == "single" and c.sees_all and c.strength < SERIOUS
+
+    def pair(c: Case) -> bool:
+        return c.kind == "pair" and c.sees_all
+
+    def named(c: Case) -> list[str]:
+        return c.named
+
+    def built(c: Case) -> list[str]:
+        return c.ladder
+
+    out = [
+        rate("first_8", "first name right, 8 % and more", ">= 95 / 90", cases, strong, lambda c: c.first_right),
+        rate("three_8", "  among the first three", "", cases, strong, lambda c: c.among_three),
+        rate("first_3", "first name right, 3 %", ">= 80 / 75", cases, weak, lambda c: c.first_right),
+        rate("pairs", "pairs, both visible: both right", ">= 75", cases, pair, lambda c: c.all_named),
+        rate("wrong_name", "sessions with a wrong name", "<= 2", cases, lambda c: True, lambda c: c.wrong_name),
+        rate("wrong_axis", "  of these only a wrong axis", "", cases, lambda c: True,
+             lambda c: c.wrong_axis and not c.false_names),
+        rate("false_alarm", "clean: anything but adequate", "<= 3 / 5", cases, clean, lambda c: c.status != "adequate"),
+        rate("alarm_plain", "  no bad row, normal noise", "", cases, lambda c: clean(c) and c.plain and not c.mishap,
+             lambda c: c.status != "adequate"),
+        rate("alarm_bad_row", "  with a bad row", "", cases, lambda c: clean(c) and bool(c.mishap),
+             lambda c: c.status != "adequate"),
+        rate("unexplained", "outside, visible: unexplained", ">= 90", cases,
+             lambda c: c.kind == "outside" and bool(c.visible), lambda c: c.status == "unexplained"),
+        rate("variable", "  and a right variable", ">= 85", cases,
+             lambda c: c.kind == "outside" and c.status == "unexplained", lambda c: c.variable_right),
+        rate("outside_named", "  named all the same", "", cases, _kind("outside"), lambda c: bool(c.named)),
+        names("many_precision", "many causes: precision of names", ">= 95", cases, _kind("many"), _precision(named)),
+        names("many_recall", "many causes: recall of the visible", ">= 75", cases, _kind("many"), _recall(named)),
+        names("ladder_precision", "  of the improved model: precision", ">= 95", cases, _kind("many"), _precision(built)),
+        names("ladder_recall", "  of the improved model: recall", ">= 75", cases, _kind("many"), _recall(built)),
+        rate("bad_row_found", "bad rows: pose is listed", "", cases, lambda c: bool(c.mishap), lambda c: c.mishap_found),
+        rate("bad_row_verdict", "  verdict right all the same", "", cases,
+             lambda c: bool(c.mishap) and c.kind in ("clean", "robust", "single"), lambda c: c.right),
+        rate("accused", "  listed although nothing is wrong", "", cases, lambda c: not c.mishap and c.plain,
+             lambda c: bool(c.accused)),
+        names("absolute_precision", "absolute: precision of names", ">= 95", cases, _kind("absolute"), _precision(built)),
+        names("absolute_recall", "absolute: recall of the visible", ">= 75", cases, _kind("absolute"), _recall(built)),
+        rate("absolute_alarm", "  clean: anything but adequate", "<= 3 / 5", cases,
+             lambda c: c.kind == "absolute" and not c.hidden, lambda c: c.status != "adequate"),
+        rate("sorted", "candidates begin with the named effect", "100", cases, lambda c: bool(c.named),
+             lambda c: c.sorted_as_named),
+        rate("failed", "ended with an error", "0", cases, lambda c: True, lambda c: c.failed),
+    ]  # fmt: skip
+    return [r for r in out if r.counts[0][1]]
+
+
+def ratios(cases: list[Case]) -> list[dict[str, Any]]:
+    """Validation error over the oracle's, by kind of session: median and worst."""
+    out = []
+    groups: list[tuple[str, str, Choice]] = [
+        ("single, visible", "<= 1.15, 3", lambda c: c.kind in ("single", "robust") and c.sees_all),
+        ("pairs", "<= 1.15, 3", lambda c: c.kind == "pair"),
+        ("many causes", "<= 1.3, 3", lambda c: c.kind == "many"),
+        ("outside", "", lambda c: c.kind == "outside"),
+        ("clean", "<= 1.15, 3", lambda c: c.kind in ("clean", "robust") and not c.hidden),
+        ("absolute", "", lambda c: c.kind == "absolute"),
+    ]
+    for label, goal, of in groups:
+        chosen = [c for c in cases if of(c) and not c.failed]
+        if not chosen:
             continue
-        try:
-            before = study.bench.posterior(study.base).log_evidence
-            model, _, study = add_effect(model, find_effect(effect), session)
-        except IrecError:
-            continue
-        gained += study.bench.posterior(study.base).log_evidence - before
-    validation = read_session(folder / "validation" / case.name)
-    deflection = model.predict(scene_of(validation, observe="tcp"))
-    keys = zip(validation.pose.tolist(), validation.load_case.tolist(), validation.repeat.tolist(), strict=True)
-    predicted = {(int(p), int(j), int(r)): deflection[i] for i, (p, j, r) in enumerate(keys)}
-    return gained > NATS_VISIBLE, validation_error(predicted, true)
+        line: dict[str, Any] = {"group": label, "goal": goal, "n": len(chosen)}
+        for part, some in (("all", chosen), ("right", [c for c in chosen if c.claim_right]),
+                           ("wrong", [c for c in chosen if not c.claim_right])):  # fmt: skip
+            values = [c.to_oracle for c in some]
+            line[part] = {"median": float(np.median(values)), "worst": float(np.max(values))} if values else None
+        line["base_over_oracle"] = float(np.median([c.base / c.oracle for c in chosen]))
+        out.append(line)
+    return out
 
 
-def read_case(row: dict[str, str], folder: Path, truth: Path, out: Path) -> Case:
-    """Everything about one session."""
-    case = Case(row["name"], row["kind"], float(row["strength"]), row["effects"].split())
-    true = deflections(truth / case.name / "truth.csv")
-    said = json.loads((out / case.name / "diagnosis.json").read_text(encoding="utf-8"))
-    verdict = said["verdict"]
-    case.status, case.named, case.depends_on = verdict["status"], verdict["effects"], verdict["depends_on"]
-    case.ranked = [c["effect"] for c in said["candidates"]]
-    if case.named:
-        lead = next((c for c in said["candidates"] if c["effect"] == case.named[0]), None)
-        case.confusable = [c.split(":")[0] for c in lead["confusable_with"]] if lead else []
-    case.before = validation_error(deflections(out / case.name / "base.csv"), true)
-    case.after = validation_error(deflections(out / case.name / "model.csv"), true)
-    case.seconds = json.loads((out / case.name / "timing.json").read_text(encoding="utf-8"))["improve_s"]
-    case.axes = read_axes(case, said, truth, out)
-    if case.kind in ("single", "pair"):
-        case.visible, case.oracle = oracle(folder, case, true)
-    return case
+def table(cases: list[Case]) -> str:
+    """The score as one table."""
+    lines = [f"{'':38}{'goal %':>12}  {'all':>16}{'noise as stated':>18}{'stated wrongly':>18}"]
+    for r in rates(cases):
+        cells = [f"{100 * passed / n:4.0f} % of {n:<4g}" if n else "-" for passed, n in r.counts]
+        lines.append(f"{r.label:38}{r.goal:>12}  {cells[0]:>16}{cells[1]:>18}{cells[2]:>18}")
+    lines.append("")
+    lines.append(f"{'validation error / oracle':38}{'goal':>12}  {'all':>16}{'noise as stated':>18}{'stated wrongly':>18}")
+    for line in ratios(cases):
+        cells = [f"{x['median']:.2f}, {x['worst']:.1f}" if (x := line[k]) else "-" for k in ("all", "right", "wrong")]
+        start = f"{line['group']} ({line['n']}; start {line['base_over_oracle']:.1f})"
+        lines.append(f"{start:38}{line['goal']:>12}  {cells[0]:>16}{cells[1]:>18}{cells[2]:>18}")
+    lines += axes_in_words([a for c in cases for a in c.axes])
+    seconds = [c.seconds for c in cases if not c.failed]
+    if seconds:
+        lines.append(f"irec improve: median {np.median(seconds):.1f} s, slowest {max(seconds):.1f} s")
+    return "\n".join(lines)
 
 
-def read_axes(case: Case, said: dict[str, Any], truth: Path, out: Path) -> list[AxisScore]:
-    """The axes of every hidden effect that was named."""
-    hidden = yaml.safe_load((truth / case.name / "truth.yaml").read_text(encoding="utf-8"))["effects"]
-    model = yaml.safe_load((out / case.name / "model.yaml").read_text(encoding="utf-8"))
-    ladder = json.loads((out / case.name / "ladder.json").read_text(encoding="utf-8"))
-    scores = []
-    for one in hidden:
-        effect = one["effect"]
-        where = hidden_axes(effect, one["parameters"])
-        if where is not None and effect in case.named:
-            text = axes_in_text(said["verdict"]["text"], find_effect(effect).label)
-            scores.append(score_axes(effect, where, said, text, axes_in_model(model, effect), ladder))
-    return scores
+def line_of(c: Case) -> str:
+    """One session in one line."""
+    hidden = " ".join(e if e in c.visible else f"({e})" for e in c.hidden) or "-"
+    noise = ("" if c.claim_right else "noise stated wrongly ") + c.mishap
+    said = "+".join(c.named) + (f" depends on {', '.join(c.depends_on[:3])}" if c.status == "unexplained" else "")
+    where = "; ".join(axes_of(a) for a in c.axes)
+    ratio = f"{c.to_oracle:5.1f}" if not c.failed else "    -"
+    strength = f"{100 * c.strength:.0f} %" if c.strength else ""
+    what = f"{'ok' if c.right else '--'} {c.name} {c.kind:8}{strength:>5} {hidden}"
+    return f"{what} | {c.status} {said} {where} | {ratio} {noise}".rstrip()
 
 
-def rate(cases: list[Case], test: str) -> str:
-    """Share of the cases that pass a test, as text."""
-    passed = sum(bool(getattr(c, test)) for c in cases)
-    return f"{passed} of {len(cases)} ({100 * passed / len(cases):.0f} %)" if cases else "no case"
-
-
-def axes_of(a: AxisScore) -> str:
+def axes_of(a: Any) -> str:
     """Axes named and hidden, for the line of a session."""
     named = ", ".join(sorted(a.right | a.wrong)) or ("not told apart" if a.offered else "no axis")
     return f"[{a.kind}: {named}; hidden {', '.join(sorted(a.hidden)) if len(a.hidden) < 6 else 'all'}]"
 
 
-def summary(cases: list[Case]) -> str:
-    """The score table."""
-    lines = []
-    single = [c for c in cases if c.kind == "single"]
-    for strength in sorted({c.strength for c in single}):
-        visible = [c for c in single if c.strength == strength and c.visible]
-        every = [c for c in single if c.strength == strength]
-        lines.append(f"hidden effect at {100 * strength:.0f} %: {len(visible)} of {len(every)} visible to the oracle")
-        lines.append(f"  first named right      {rate(visible, 'first_right')}")
-        lines.append(f"  among the first three  {rate(visible, 'among_three')}")
-        axis = sum(c.first_right and c.wrong_axis for c in every)
-        lines.append(f"  wrong name, confident  {rate(every, 'wrong_with_confidence')}, {axis} of them only a wrong axis")
-    strong = [c for c in single if c.strength >= 0.08 and c.visible]
-    lines.append(f"all at 8 % and more, visible: first {rate(strong, 'first_right')}, first three {rate(strong, 'among_three')}")
-    pairs = [c for c in cases if c.kind == "pair" and c.visible]
-    lines.append(
-        f"pairs: first right {rate(pairs, 'first_right')}; both named {sum(set(c.hidden) <= set(c.named) for c in pairs)}"
-    )
-    clean = [c for c in cases if c.kind == "clean"]
-    lines.append(f"clean cells: false alarms {sum(c.status != 'adequate' for c in clean)} of {len(clean)}")
-    outside = [c for c in cases if c.kind == "outside"]
-    lines.append(f"outside the catalogue: called unexplained {sum(c.status == 'unexplained' for c in outside)} of {len(outside)}")
-    lines += axes_in_words([a for c in cases for a in c.axes])
-    for label, some in (
-        ("8 % and more", strong),
-        ("3 %", [c for c in single if c.strength < 0.08 and c.visible]),
-        ("pairs", pairs),
-    ):
-        if some:
-            to_oracle = np.median([c.after / c.oracle for c in some])
-            to_before = np.median([c.after / c.before for c in some])
-            lines.append(f"validation error, {label}, median: after/oracle {to_oracle:.2f}, after/before {to_before:.2f}")
-    if clean:
-        to_plain = np.median([c.after / c.before for c in clean])
-        lines.append(f"validation error, clean cells, median: after/18-DOF least squares {to_plain:.2f}")
-    lines.append(
-        f"irec improve: median {np.median([c.seconds for c in cases]):.1f} s, slowest {max(c.seconds for c in cases):.1f} s"
-    )
-    return "\n".join(lines)
+def as_json(cases: list[Case]) -> dict[str, Any]:
+    """The score for machines."""
+    columns = ("all", "right", "wrong")
+    return {
+        "format": "irec-hidden-score/1",
+        "sessions": len(cases),
+        "rates": {
+            r.key: {"label": r.label.strip(), "goal": r.goal}
+            | {k: {"passed": p, "of": n} for k, (p, n) in zip(columns, r.counts, strict=True)}
+            for r in rates(cases)
+        },
+        "ratios": ratios(cases),
+        "cases": [
+            {"name": c.name, "kind": c.kind, "hidden": c.hidden, "visible": c.visible, "status": c.status, "named": c.named,
+             "right": c.right, "to_oracle": None if c.failed else c.to_oracle} for c in cases
+        ],
+    }  # fmt: skip
+
+
+def finished(folder: Path) -> bool:
+    """Whether run.py is through with a session, well or not."""
+    return (folder / "timing.json").exists() or (folder / "error.txt").exists()
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Score a blind run against the truth.")
-    parser.add_argument("matrix", type=Path, help="folder with sessions/ and validation/")
     parser.add_argument("truth", type=Path, help="folder with matrix.csv")
     parser.add_argument("output", type=Path, help="folder that run.py wrote")
-    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--json", action="store_true", help="print the score as JSON")
+    parser.add_argument("--quiet", action="store_true", help="only the table, no line per session")
     args = parser.parse_args()
     with (args.truth / "matrix.csv").open(encoding="utf-8") as file:
-        rows = [r for r in csv.DictReader(file) if (args.output / r["name"] / "diagnosis.json").exists()]
+        rows = [r for r in csv.DictReader(file) if finished(args.output / r["name"])]
     if not rows:
         print(f"{args.output}: no result of run.py for a session of {args.truth}", file=sys.stderr)
         return 2
-    with ProcessPoolExecutor(args.processes) as pool:
-        n = len(rows)
-        cases = list(pool.map(read_case, rows, [args.matrix] * n, [args.truth] * n, [args.output] * n))
-    for c in sorted(cases, key=lambda c: (c.kind, c.hidden, c.strength)):
-        hidden, said = "+".join(c.hidden) or "-", "+".join(c.named)
-        seen = "" if c.visible or c.kind in ("clean", "outside") else "(not visible)"
-        mark = "ok" if c.right else "--"
-        where = "; ".join(axes_of(a) for a in c.axes)
-        print(f"{mark} {c.name} {c.kind:8} {hidden:40} {100 * c.strength:3.0f} % {c.status:15} {said} {where} {seen}".rstrip())
-    print(summary(cases))
+    cases = [read_case(row, args.truth, args.output) for row in rows]
+    if args.json:
+        print(json.dumps(as_json(cases), indent=1))
+        return 0
+    if not args.quiet:
+        for c in sorted(cases, key=lambda c: (c.kind, c.hidden, c.strength)):
+            print(line_of(c))
+        print()
+    print(table(cases))
     return 0
 
 

@@ -18,10 +18,10 @@ import venv
 from pathlib import Path
 
 import numpy as np
-from irec_calibration.absolute import base_terms
-from irec_calibration.identify import fit
+from irec_calibration.identification.absolute import base_terms
+from irec_calibration.identification.identify import fit
+from irec_calibration.identification.observe import observe
 from irec_calibration.model import blank_model, total_displacement
-from irec_calibration.observe import observe
 from irec_calibration.session import Session
 from irec_calibration.session.foreign import import_table
 
@@ -40,7 +40,7 @@ def main() -> int:
         folder = Path(scratch)
         session = import_table(ROOT / "docs" / "real-data" / "ur5-jacobi.profile.yaml", TABLE, folder)
         order = np.random.default_rng(0).permutation(len(session))
-        print(f"{'':10} {'model':34} {'held-out rms, mm':>17} {'parameters':>11} {'seconds':>8}")
+        print(f"{'':10} {'model':34} {'rms, other poses, mm':>17} {'parameters':>11} {'seconds':>8}")
         ours(session, order)
         write(session, order, folder)
         theirs(folder)

@@ -5,15 +5,25 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+import textwrap
 from collections.abc import Callable
+from pathlib import Path
 
-from ..diagnose.held_out import gain, held_out
+from ..diagnose.held_out import held_out
 from ..diagnose.study import Study
+from ..errors import IrecError
+from ..identification.validation import ESTIMATOR, gain
+from ..lengths import length
 from ..model import Model
-from ..model_file import check_belongs, load_model, save_model
-from ..session import Session, read_session
+from ..model.file import check_belongs, load_model, save_model
+from ..report.judgement import Judged, judged, probability
+from ..report.next_steps import Step, in_lines
+from ..session import Session
+from ._session import configure_plausible, plausible_session
 
 Refit = Callable[[Model, Session], tuple[Model, Study, Study]]
+WIDTH = 100
 
 
 def configure_refit(parser: argparse.ArgumentParser, effect: str) -> None:
@@ -22,23 +32,66 @@ def configure_refit(parser: argparse.ArgumentParser, effect: str) -> None:
     parser.add_argument("effect", help=effect)
     parser.add_argument("session", help="session that it is refitted to")
     parser.add_argument("-o", "--output", default="model2.yaml", help="model file to write (default: model2.yaml)")
+    parser.add_argument("--force", action="store_true", help="overwrite the model file where it exists")
+    configure_plausible(parser)
     parser.add_argument("--json", action="store_true", help="machine-readable on standard output")
 
 
-def run_refit(args: argparse.Namespace, refit: Refit) -> int:
-    """Load model and session, change the model, save it, say what changed; `refit` returns the new model and both studies."""
-    model, session = load_model(args.model), read_session(args.session)
+def check_free(path: str | Path, force: bool) -> None:
+    """Refuse to overwrite a file. Raises IrecError."""
+    if Path(path).exists() and not force:
+        raise IrecError(f"{path} exists already; name another file with -o, or overwrite it with --force")
+
+
+def run_refit(
+    args: argparse.Namespace,
+    refit: Refit,
+    *,
+    rivals: Callable[[Study], list[str]] | None = None,
+    steps: Callable[[Judged | None], list[Step]] | None = None,
+) -> int:
+    """Load model and session, change the model, save it, say what changed and what follows.
+
+    Args:
+        refit: returns the new model and both studies.
+        rivals: effects that explain the session as well as the one that was added, by the old study.
+        steps: what to do next.
+    """
+    check_free(args.output, args.force)
+    model, session = load_model(args.model), plausible_session(args)
     check_belongs(model, session.robot, session.serial)
     new, before, after = refit(model, session)
+    said = judge_added(model, new, before, after)
+    others = rivals(before) if rivals else []
     path = save_model(new, args.output)
     if args.json:
-        print(json.dumps({"model": str(path), **change(before, after)}))
-    else:
-        print(f"{what_changed(model, new, before, after)}\nwrote {path}")
+        more = {} if said is None else {"support": said.verdict, "sentence": said.sentence, "rivals": others}
+        print(json.dumps({"model": str(path), **change(before, after), **more}))
+        return 0
+    print(what_changed(model, new, before, after))
+    if said is not None:
+        print(textwrap.fill(said.sentence, WIDTH))
+        if others:
+            print(
+                textwrap.fill(
+                    f"These explain the session about as well, so that it can't tell which: {', '.join(others)}.", WIDTH
+                )
+            )
+    print(f"wrote {path}")
+    if steps:
+        print(in_lines(steps(said)))
     return 0
 
 
-def change(before: Study, after: Study) -> dict[str, float | list[str] | None]:
+def judge_added(old: Model, new: Model, before: Study, after: Study) -> Judged | None:
+    """Whether the data support what was added; None where nothing was."""
+    term = next((t for t in new.terms if t.effect.id not in old.effects), None)
+    if term is None:
+        return None
+    return judged(held_out(before), held_out(after), term, term.effect.parameters(after.ready))
+
+
+def change(before: Study, after: Study) -> dict[str, float | str | list[str] | None]:
     """Figures of two models of one session."""
     old, new = held_out(before), held_out(after)
     _, _, p = gain(old, new)
@@ -48,7 +101,8 @@ def change(before: Study, after: Study) -> dict[str, float | list[str] | None]:
         "p_value": p,
         "noise_floor_m": after.observation.whiten.floor,
     }
-    return {"effects": [t.effect.id for t in after.terms], **{k: v if v == v else None for k, v in figures.items()}}
+    finite = {k: v if v == v else None for k, v in figures.items()}
+    return {"effects": [t.effect.id for t in after.terms], "estimator": ESTIMATOR, **finite}
 
 
 def what_changed(old: Model, new: Model, before: Study, after: Study) -> str:
@@ -67,9 +121,10 @@ def what_changed(old: Model, new: Model, before: Study, after: Study) -> str:
     lines += [f"removed  {g}" for g in gone]
     cv = [f["cv_rms_before_m"], f["cv_rms_after_m"]]
     if all(isinstance(x, float) for x in cv):
-        before_um, after_um, noise_um = (1e6 * x for x in (*cv, after.observation.whiten.floor))  # type: ignore[operator]
+        p = f["p_value"] if isinstance(f["p_value"], float) else math.nan
         lines.append(
-            f"error on held-out poses {before_um:.1f} -> {after_um:.1f} um (noise {noise_um:.1f} um, "
-            f"paired test p = {f['p_value']:.2g})"
+            f"error on held-out poses {length(cv[0])} -> {length(cv[1])} "  # type: ignore[arg-type]
+            f"(noise {length(after.observation.whiten.floor)}, paired test {probability(p)})"
         )
+        lines.append(textwrap.fill(f"estimator: {ESTIMATOR}", WIDTH, subsequent_indent="  "))
     return "\n".join(lines)

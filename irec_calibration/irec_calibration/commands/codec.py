@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from ..absolute import base_terms
 from ..codec import TRAIN_TO_TEST, Codec, pose_data, run_codec
-from ..codec_charts import save_arrays, save_chart, save_table
+from ..codec.algorithm1 import ESTIMATOR
+from ..codec.follow import follow
+from ..codec.growth import growth_of
 from ..errors import IrecError, PlanError
-from ..follow import follow
-from ..growth import growth_of
+from ..identification.absolute import base_terms
 from ..model import EIGHTEEN_DOF, SIX_DOF, Term, blank_model
-from ..model_file import check_belongs, load_model
+from ..model.file import check_belongs, load_model
 from ..poses.select import METHODS
+from ..report.codec_charts import save_arrays, save_chart, save_table
 from ..session import Session, read_session
 
 COMPARISONS = {
@@ -157,6 +158,7 @@ def _label(model: str) -> str:
 
 def _figures(codec: Codec) -> dict[str, Any]:
     figures: dict[str, Any] = {
+        "estimator": ESTIMATOR,
         "label": codec.label,
         "training_poses": codec.norm_mean.shape[1],
         "mean_m": float(codec.norm_mean[:, -1].mean()),

@@ -5,14 +5,18 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
+import textwrap
 from pathlib import Path
 
 from ..diagnose import Comparison, compare, finite
 from ..diagnose.tables import write_comparison
-from ..model_file import check_belongs, load_model
+from ..lengths import length
+from ..model.file import check_belongs, load_model
 from ..report.diagnosis import compare_section
-from ..report.page import Page, write_page
-from ..session import read_session
+from ..report.models import gap
+from ..report.page import Figure, Page, write_page
+from ..session import Session, read_session
 from ._report import report
 
 
@@ -30,10 +34,26 @@ def run(args: argparse.Namespace) -> int:
     if args.output:
         folder = Path(args.output)
         write_comparison(result, session, folder / "residuals.csv")
-        title = f"{' + '.join(model.effects)} against {session.name}"
-        report(lambda: [write_page(Page(title, sections=[compare_section(result, session, folder)]), folder / "report.html")])
+        report(lambda: [_page(result, session, folder, model.effects, args)])
     print(json.dumps(finite(as_json(result))) if args.json else in_words(result))
     return 0
+
+
+def _page(result: Comparison, session: Session, folder: Path, effects: tuple[str, ...], args: argparse.Namespace) -> Path:
+    model, said = shlex.quote(args.model), shlex.quote(args.session)
+    verdict = (
+        f"The model leaves {length(result.rms_m)} per sample; the noise explains {length(result.noise_floor_m)}, so that"
+        f" {length(result.explainable_m)} could be explained by physics that the model lacks."
+    )
+    rows = [("model", result.rms_m, float("nan"))]
+    title = f"The model leaves {length(result.rms_m)}"
+    picture = gap(rows, result.noise_floor_m, folder / "verdict.png", title, of="residual per sample [um rms]")
+    page = Page(
+        f"{session.name}: {' + '.join(effects)}", verdict=verdict, hero=Figure(picture, f"{title}."),
+        todo=[("Find out which effect is missing:", f"irec diagnose {said} --model {model}")],
+        sections=[compare_section(result, session, folder)],
+    )  # fmt: skip
+    return write_page(page, folder / "report.html")
 
 
 def as_json(c: Comparison) -> dict[str, object]:
@@ -57,4 +77,4 @@ def in_words(c: Comparison) -> str:
     ]
     if c.repeat_floor_m == c.repeat_floor_m:
         lines.insert(1, f"repeats scatter by {1e6 * c.repeat_floor_m:.1f} um")
-    return "\n".join(lines + [f"note: {n}" for n in c.notes])
+    return "\n".join(textwrap.fill(line, 100, subsequent_indent="  ") for line in [*lines, *(f"note: {n}" for n in c.notes)])

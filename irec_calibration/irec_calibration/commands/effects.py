@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import textwrap
 
-from ..effects import find_effect, known_effects
+from ..effects import broken_effects, find_effect, known_effects
 from ..effects.formula import FUNCTIONS, VARIABLES
 
 
@@ -18,6 +19,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.variables and args.json:
+        print(json.dumps({"variables": VARIABLES, "functions": list(FUNCTIONS), "constants": ["pi"]}))
+        return 0
     if args.variables:
         for name, meaning in VARIABLES.items():
             print(f"{name:14} {meaning}")
@@ -32,4 +36,6 @@ def run(args: argparse.Namespace) -> int:
     else:
         for e in shown:
             print(f"{e.id:22} {e.acts_on:11} {e.label}")
+        for why in broken_effects().values():
+            print(f"can't be used: {why}", file=sys.stderr)
     return 0

@@ -1,21 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`irec history MODEL`: the versions that led to a model, with the error that each earned."""
+"""`irec history`: the calibrations of a robot with their trend (CELL), or the versions that led to a model (MODEL)."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import asdict
+from pathlib import Path
 
-from ..model_file import load_model
+from ..cell import read_cell
+from ..errors import IrecError
+from ..model.file import load_model
+from ..recertification.store import Store, calibration_folder
+from ..recertification.trend import trend
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("model", help="model.yaml")
+    parser.add_argument("what", metavar="CELL|MODEL", help="cell file: all calibrations of its robot; model.yaml: its versions")
+    parser.add_argument("--folder", default="", help="calibration folder (default: calibrations beside the cell file)")
+    parser.add_argument("-o", "--output", help="with CELL: picture of the trend (PNG)")
     parser.add_argument("--json", action="store_true", help="machine-readable on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
-    model = load_model(args.model)
+    try:
+        is_cell = "irec-cell/" in Path(args.what).read_text(encoding="utf-8", errors="replace")[:4000]
+    except OSError as error:
+        raise IrecError(f"{args.what}: can't be read: {error.strerror}; name a cell file or a model.yaml") from error
+    return _of_cell(args) if is_cell else _of_model(args)
+
+
+def _of_cell(args: argparse.Namespace) -> int:
+    cell = read_cell(args.what)
+    store = Store(args.folder or calibration_folder(cell.path), cell.serial)
+    entries, points = store.entries(), trend(store)
+    if args.output and points:
+        from ..report.certificate import trend_png  # draws: only when it is asked for
+
+        Path(args.output).write_bytes(trend_png(points))
+    if args.json:
+        print(json.dumps({"events": [asdict(e) for e in entries], "trend": [asdict(p) for p in points]}))
+        return 0
+    if not entries:
+        print(f"{store.folder}: no calibration of {cell.serial} yet; the first one: ros2 action send_goal irec/recertify ...")
+        return 0
+    print(f"{cell.serial}, {store.folder}")
+    for e in entries:
+        print(f"{e.at[:16]}  {e.event.replace('_', ' '):13} {e.calibration or '-':5} by {e.by or '?'}: {e.verdict or '-'}")
+    print("\ncalibration  date        mean deflection at rated load  error on poses not used")
+    for p in points:
+        mark = "  in force" if p.in_force else ""
+        error = f"{1e6 * p.held_out_rms_m:6.1f} um" if p.held_out_rms_m == p.held_out_rms_m else "unknown"
+        print(f"{p.calibration:11}  {p.at[:10]}  {1e3 * p.deflection_m:21.3f} mm      {error}{mark}")
+    if args.output and points:
+        print(f"trend: {args.output}")
+    return 0
+
+
+def _of_model(args: argparse.Namespace) -> int:
+    model = load_model(args.what)
     if args.json:
         print(json.dumps(list(model.history)))
         return 0

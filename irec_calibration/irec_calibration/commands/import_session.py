@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`irec import SESSION -o FILE.mcap`: a session in either form to MCAP; with `--profile` a foreign table to a session."""
+"""`irec import SESSION -o FILE.mcap`: a session in either form to MCAP; with `--profile` a foreign table, with `--map` a foreign
+recording to a session."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
-from ..errors import SessionError
-from ..session import Session, read_session
+from ..errors import RecordingError, SessionError
+from ..session import Session, read_session, write_table
+from ..session.align import align_bag, in_words
 from ..session.foreign import import_table
 from ..session.mcap_io import write_mcap
 
@@ -16,8 +19,9 @@ from ..session.mcap_io import write_mcap
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("session", help="folder of a table, MCAP file or rosbag2 folder")
     parser.add_argument("--profile", help="mapping file (irec-import/1) by which a foreign table is read")
+    parser.add_argument("--map", help="mapping file (irec-align/1) by which a foreign recording (joints, tracker points) is read")
     parser.add_argument("--name", help="with --profile: name of the session (default: the profile's)")
-    parser.add_argument("-o", "--output", required=True, help="MCAP file to write; with --profile a folder for the table")
+    parser.add_argument("-o", "--output", required=True, help="MCAP file to write; a folder with --profile or --map")
     parser.add_argument("--json", action="store_true", help="machine-readable summary on standard output")
 
 
@@ -25,11 +29,27 @@ def run(args: argparse.Namespace) -> int:
     output = Path(args.output)
     if args.profile:
         return _report(import_table(args.profile, args.session, output, args.name), output, args.json)
+    if args.map:
+        return _report(_foreign_recording(Path(args.session), Path(args.map), output), output, args.json)
     if output.suffix != ".mcap":
         raise SessionError(f"{output}: the name of the output must end in .mcap (`irec export` writes tables)")
     session = read_session(args.session)
     write_mcap(session, output)
     return _report(session, output, args.json)
+
+
+def _foreign_recording(bag: Path, mapping: Path, output: Path) -> Session:
+    """A session from joint states and tracker points; SessionError says what keeps it from being one and where to look."""
+    try:
+        session, delay = align_bag(bag, mapping)
+    except (SessionError, RecordingError) as error:
+        raise SessionError(f"{error}; `irec inspect {bag}` says what the recording holds and lacks") from error
+    session = replace(session, notes=(*in_words(delay), *session.notes))
+    if output.suffix == ".mcap":
+        write_mcap(session, output)
+    else:
+        write_table(session, output)
+    return session
 
 
 def _report(session: Session, output: Path, as_json: bool) -> int:

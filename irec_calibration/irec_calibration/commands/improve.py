@@ -5,15 +5,20 @@ from __future__ import annotations
 
 import argparse
 import json
+import textwrap
 from pathlib import Path
 
 from ..diagnose import Ladder, improve, write_json
 from ..diagnose.tables import write_tables
-from ..model_file import check_belongs, load_model, save_model
+from ..identification.validation import ESTIMATOR
+from ..model.file import check_belongs, load_model, save_model
+from ..report import course
+from ..report.course import course_section, drive
 from ..report.ladder import write_ladder_report
-from ..session import read_session
+from ..report.next_steps import after_improvement, in_lines
 from ._progress import Progress
 from ._report import report
+from ._session import configure_plausible, plausible_session
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -22,11 +27,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", default="improved", help="folder for model.yaml, ladder.json, diagnosis.json (default: improved)"
     )
+    parser.add_argument("--cell", default="", help="cell file: its process course as predicted before and after")
+    configure_plausible(parser)
     parser.add_argument("--json", action="store_true", help="ladder.json on standard output too")
 
 
 def run(args: argparse.Namespace) -> int:
-    session = read_session(args.session)
+    session = plausible_session(args)
     model = load_model(args.model) if args.model else None
     if model is not None:
         check_belongs(model, session.robot, session.serial)
@@ -36,12 +43,17 @@ def run(args: argparse.Namespace) -> int:
     write_json(ladder.to_json(), folder / "ladder.json")
     write_json(ladder.before.to_json(), folder / "diagnosis.json")
     write_tables(ladder.before, session, folder)
-    files = report(lambda: write_ladder_report(ladder, session, folder))
+    driven = drive(args.cell, session, ladder.rungs[0].model, ladder.model)
+    named = (args.session, str(path))
+    files = report(lambda: write_ladder_report(ladder, session, folder, tuple(course_section(driven, folder)), named=named))
     if args.json:
         print(json.dumps(ladder.to_json()))
     else:
         print(in_words(ladder))
+        if driven:
+            print(course.in_words(driven))
         print(f"wrote {path}, ladder.json, diagnosis.json{', ' + files[0].name if files else ''}")
+        print(in_lines(after_improvement(ladder, args.session, str(path))))
     return 0
 
 
@@ -53,4 +65,5 @@ def in_words(ladder: Ladder) -> str:
         lines.append(f"{name:40} {1e6 * r.cv_rms_m:12.1f} {1e6 * r.cv_rms_se_m:6.1f} {1e6 * r.fit_rms_m:8.1f}")
     lines.append(f"{'noise floor':40} {1e6 * ladder.noise_floor_m:12.1f}")
     lines.append(f"stopped: {ladder.stopped}")
+    lines.append(textwrap.fill(f"estimator: {ESTIMATOR}", 100, subsequent_indent="  "))
     return "\n".join(lines)

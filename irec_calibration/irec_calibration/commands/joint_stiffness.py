@@ -9,8 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..diagnose.result import finite
-from ..joint_stiffness import Axis, JointStiffness, Trajectory, joint_stiffness
-from ..session.joint_recording import read_recordings
+from ..sensors.joint_recording import read_recordings
+from ..sensors.joint_stiffness import Axis, JointStiffness, Trajectory, joint_stiffness
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         (folder / "joint_stiffness.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
         _draw(recordings, result, folder / "joint_stiffness.png")
     print(json.dumps(data) if args.json else in_words(result))
-    return 0 if any(a.told for a in result.axes) else 1
+    return 0 if any(a.identified for a in result.axes) else 1
 
 
 def in_words(r: JointStiffness) -> str:
@@ -61,7 +61,7 @@ def in_words(r: JointStiffness) -> str:
 
 
 def _stiffness(a: Axis) -> str:
-    if not a.told:
+    if not a.identified:
         return f"axis {a.number}: stiffness cannot be told from these data: {a.why_not}"
     return (
         f"axis {a.number}: stiffness {1e-6 * a.stiffness:.1f} MN m/rad, between {1e-6 * a.stiffness_low:.1f} and"
@@ -91,12 +91,12 @@ def _draw(recordings: list[Trajectory], r: JointStiffness, path: Path) -> None:
         axes[0, column].set_xlabel("velocity, rad/s")
         axes[1, column].set_xlabel("torque on the link side, kN m")
         low, high = 1e-3 * a.torque[0], 1e-3 * a.torque[1]
-        told = f"{1e-6 * a.stiffness:.1f} MN m/rad" if a.told else "stiffness cannot be told"
-        if a.told:
+        title = f"{1e-6 * a.stiffness:.1f} MN m/rad" if a.identified else "stiffness unknown"
+        if a.identified:
             middle = 1e-3 * float(np.mean([t.torque[:, a.number - 1].mean() for t in recordings]))
             ends = np.array([low, high])
             axes[1, column].plot(ends, 1e9 / a.stiffness * (ends - middle), "k-", lw=1)
-        axes[1, column].set_title(told)
+        axes[1, column].set_title(title)
     axes[0, 0].set_ylabel("motor - link, urad")
     axes[1, 0].set_ylabel("motor - link without the skew, urad")
     figure.savefig(path, dpi=130)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from ..cell import read_cell
 from ..errors import IrecError
-from ..poses.picture import save_picture
 from ..poses.plan import make_plan, pose_list
 from ..poses.select import METHODS
 from ..poses.store import write_poses
+from ..report.pose_picture import save_picture
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..model_file import check_belongs, load_model
-from ..scene import scene_of
+from ..effects.scene import scene_of
+from ..model.file import check_belongs, load_model
 from ..session import read_session
 
 

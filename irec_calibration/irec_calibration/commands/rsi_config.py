@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import ipaddress
+import json
 import re
 from pathlib import Path
 
@@ -23,6 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--limit-mm", type=float, default=3.5, help="of POSCORR, above limit.translation (default: 3.5)")
     parser.add_argument("--limit-deg", type=float, default=0.5, help="of POSCORR, above limit.rotation (default: 0.5)")
     parser.add_argument("-o", "--output", type=Path, default=Path("rsi"), help="folder (default: rsi)")
+    parser.add_argument("--json", action="store_true", help="machine-readable on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -31,7 +33,10 @@ def run(args: argparse.Namespace) -> int:
     args.output.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (args.output / name).write_text(text, encoding="ascii")
-        print(f"wrote {args.output / name}")
+        if not args.json:
+            print(f"wrote {args.output / name}")
+    if args.json:
+        print(json.dumps({"files": [str(args.output / name) for name in files]}))
     return 0
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import textwrap
 
-from ..identify import default_terms, identify
+from ..diagnose import solved
+from ..identification.identify import default_terms
 from ..model import EIGHTEEN_DOF, SIX_DOF, Model, blank_model
-from ..model_file import save_model
-from ..provenance import model_of
-from ..session import read_session
+from ..model.file import save_model
+from ._session import configure_plausible, plausible_session
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -21,23 +22,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
     which.add_argument(
         "--terms", help="effect ids with commas between, instead of --dof (default for absolute sessions: the geometric model)"
     )
+    configure_plausible(parser)
     parser.add_argument("--json", action="store_true", help="machine-readable figures on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
-    session = read_session(args.session)
+    session = plausible_session(args)
     if args.terms or args.dof:
         effects = args.terms.split(",") if args.terms else (SIX_DOF if args.dof == 6 else EIGHTEEN_DOF)
         terms = blank_model([e.strip() for e in effects])
     else:
         terms = default_terms(session)
-    result = identify(session, terms)
-    session, model = result.observation.session, model_of(result)
+    model, notes = solved(session, terms)
     path = save_model(model, args.output)
     if args.json:
         print(json.dumps({"model": str(path), "effects": list(model.effects), **model.figures}))
     else:
-        for note in session.notes:
+        for note in notes:
             print(f"note: {note}")
         print(describe(model))
         print(f"wrote {path}")
@@ -57,11 +58,11 @@ def describe(model: Model) -> str:
     f = model.figures
     lines.append(
         f"{f['poses']} poses, {f['samples']} samples; rank {f['rank']}; residual {1e6 * f['fit_rms_m']:.1f} um"
-        f" (held-out poses {1e6 * f['cv_rms_m']:.1f} um), instrument noise {1e6 * f['noise_floor_m']:.1f} um"
+        f" (held-out poses {1e6 * f['cv_rms_m']:.1f} um), noise {1e6 * f['noise_floor_m']:.1f} um"
     )
-    if "cv_mean_m" in f:
-        lines.append(f"mean error {1e3 * f['fit_mean_m']:.4f} mm, on held-out poses {1e3 * f['cv_mean_m']:.4f} mm")
-    lines += [f"known as a sum: {c}" for c in model.combinations]
+    lines.append(f"mean error {1e3 * f['fit_mean_m']:.4f} mm, on held-out poses {1e3 * f['cv_mean_m']:.4f} mm")
+    lines.append(textwrap.fill(f"estimator: {f['estimator']}", 100, subsequent_indent="  "))
+    lines += [textwrap.fill(f"known as a sum: {c}", 100, subsequent_indent="  ") for c in model.combinations]
     if "held_at_zero" in model.made:
         lines.append(
             f"held at zero, since others do the same or the poses do not show them: {', '.join(model.made['held_at_zero'])}"

@@ -15,15 +15,15 @@ import yaml
 
 from ..errors import RecordingError, RobotError
 from ..recording import BagReader
-from ..robot import Robot
-from ..tool_load import Standing, ToolLoadFit, identify_tool_load, standing
+from ..robot import Robot, parent_joint
+from ..sensors.tool_load import Standing, ToolLoadFit, identify_tool_load, standing
 from ..typing import Array
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("bag", type=Path, help="an .mcap file or a rosbag2 folder with raw wrenches and joint states")
-    parser.add_argument("--urdf", type=Path, help="robot description (default: the topic robot_description of the recording)")
+    parser.add_argument("--urdf", type=Path, help="robot description (default: robot_description or robot.urdf of the recording)")
     parser.add_argument("--wrench", default="wrench_raw", metavar="TOPIC", help="raw readings (default: wrench_raw)")
     parser.add_argument("--joints", default="joint_states", metavar="TOPIC", help="joint states (default: joint_states)")
     parser.add_argument("--frame", default="ft_sensor", help="link in which the sensor measures (default: ft_sensor)")
@@ -77,7 +77,9 @@ class _Recorded:
     @property
     def robot(self) -> Robot:
         if not self.description:
-            raise RobotError(f"{self.path}: no robot_description in the recording; name one with --urdf")
+            raise RobotError(
+                f"{self.path}: no robot_description in the recording and no robot.urdf attached; name one with --urdf"
+            )
         return Robot(self.description, f"{self.path}: robot_description")
 
     @property
@@ -110,6 +112,8 @@ def _read(args: argparse.Namespace) -> _Recorded:
             out.add_wrench(bag.decode(message))
         elif name == "robot_description":
             out.description = bag.decode(message).data
+    if not out.description and "robot.urdf" in bag.attachments:
+        out.description = bag.attachments["robot.urdf"].decode("utf-8", errors="replace")
     out.check(args.joints, args.wrench)
     return out
 
@@ -123,7 +127,7 @@ def _R_sensor(robot: Robot, frame: str, found: Standing) -> Array:
     if not model.existFrame(frame):
         raise RobotError(f"{robot.source}: no link '{frame}' for the force sensor; name it with --frame")
     sensor, tool = model.frames[model.getFrameId(frame)], model.frames[model.getFrameId("tool0")]
-    if sensor.parentJoint != tool.parentJoint:
+    if parent_joint(sensor) != parent_joint(tool):
         raise RobotError(f"{robot.source}: link '{frame}' is not fixed to tool0")
     in_tool = np.array(tool.placement.actInv(sensor.placement).rotation)
     return robot.kinematics(found.q).R_tool @ in_tool if len(found.q) else np.zeros((0, 3, 3))

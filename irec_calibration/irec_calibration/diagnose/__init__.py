@@ -4,12 +4,16 @@
 `diagnose(session, model)` gives a `Diagnosis`; `improve(session)` goes on by itself and gives a `Ladder`.
 """
 
-from .comparison import compare
-from .improve import Ladder, Rung, add_effect, improve, remove_effect
+from .attempt import Attempt, added, attempt
+from .comparison import compare, compare_observed
+from .held_out import Validated, held_out, solved, validated
+from .improve import Ladder, Rung, add_effect, improve, remove_effect, versioned
 from .result import Candidate, Comparison, Diagnosis, Measurement, Verdict, View, finite, write_json
 from .run import diagnose, start_terms
+from .study import Study, prepare
 
 __all__ = [
-    "Candidate", "Comparison", "Diagnosis", "Ladder", "Measurement", "Rung", "Verdict", "View",
-    "add_effect", "compare", "diagnose", "finite", "improve", "remove_effect", "start_terms", "write_json",
+    "Attempt", "Candidate", "Comparison", "Diagnosis", "Ladder", "Measurement", "Rung", "Study", "Validated", "Verdict", "View",
+    "add_effect", "added", "attempt", "compare", "compare_observed", "diagnose", "finite", "held_out", "improve", "prepare",
+    "remove_effect", "solved", "start_terms", "validated", "versioned", "write_json",
 ]  # fmt: skip

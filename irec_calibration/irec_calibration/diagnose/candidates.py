@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from math import comb, log
 
 import numpy as np
 
-from ..effects import Effect, Parameter
-from ..typing import Array
-from .evidence import Block, Posterior
-from .priors import FACTORS, log_odds, prior_width
+from ..effects import Effect, Parameter, known_effects
+from ..effects.scene import Scene
+from ..errors import EffectError, SolveError
+from ..typing import Array, BoolArray
+from .evidence import Block, Ground, Posterior
+from .priors import FACTORS
 from .study import Study
 
 SMALLEST_COLUMN = 1e-3  # whitened length of a column at its parameter's scale below which it can't show
@@ -45,8 +48,8 @@ class Trial:
     """An effect tried on top of a model.
 
     Attributes:
-        best: its best variant with the posterior of model and effect together (effect's columns last).
-        log_evidence: averaged over the effect's variants, relative to the model alone.
+        best: its best variant; posterior: x of its own columns, evidence of ground and effect together.
+        log_evidence: averaged over the effect's variants, relative to the ground.
     """
 
     effect: Effect
@@ -55,13 +58,74 @@ class Trial:
     log_evidence: float
 
 
-def parts(study: Study, effect: Effect) -> Iterator[tuple[dict[str, float], Block, list[str], list[Parameter]]]:
-    """All columns of an effect for each choice of its shape values: shape, block, group of each column, parameters."""
+@dataclass(frozen=True)
+class Table:
+    """All columns of an effect at one choice of its shape values.
+
+    Attributes:
+        parameters: of each column; groups: names of the parts that show.
+    """
+
+    shape: dict[str, float]
+    block: Block
+    parameters: tuple[Parameter, ...]
+
+    @cached_property
+    def gram(self) -> Array:
+        out: Array = self.block.A.T @ self.block.A
+        return out
+
+    @cached_property
+    def shows(self) -> BoolArray:
+        out: BoolArray = np.sqrt(self.gram.diagonal()) > SMALLEST_COLUMN
+        return out
+
+    @cached_property
+    def groups(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(p.group for p, s in zip(self.parameters, self.shows, strict=True) if s))
+
+    def columns(self, chosen: Sequence[str]) -> list[int]:
+        return [i for i, p in enumerate(self.parameters) if p.group in chosen and self.shows[i]]
+
+
+@dataclass(frozen=True)
+class Option:
+    """An effect with all its tables on one session."""
+
+    effect: Effect
+    tables: tuple[Table, ...]
+
+
+def options(
+    study: Study, effects: Sequence[Effect] | None = None, check: Callable[[], None] = lambda: None
+) -> tuple[list[Option], dict[str, str]]:
+    """Every effect that the model does not have with its columns, and why others can't show."""
+    present = {t.effect.id for t in study.terms}
+    found: list[Option] = []
+    skipped: dict[str, str] = {}
+    for effect in known_effects().values() if effects is None else effects:
+        check()
+        if effect.id in present or effect.completes:
+            continue
+        why = study.why_not(effect)
+        try:
+            tables = () if why else tuple(Table(s, b, tuple(p)) for s, b, p in _parts(study, effect))
+        except (EffectError, SolveError) as error:
+            tables, why = (), str(error)
+        tables = tuple(t for t in tables if t.groups)
+        if tables:
+            found.append(Option(effect, tables))
+        else:
+            skipped[effect.id] = why or "it moves nothing in this session"
+    return found, skipped
+
+
+def _parts(study: Study, effect: Effect) -> Iterator[tuple[dict[str, float], Block, list[Parameter]]]:
+    """All columns of an effect for each choice of its shape values: shape, block, parameters."""
     shaped = [p for p in effect.parameters(study.ready) if p.grid]
-    for values in product(*(shape_values(study, effect, p) for p in shaped)):
+    for values in product(*(p.grid for p in shaped)):
         shape = {p.name: v for p, v in zip(shaped, values, strict=True)}
-        block, chosen = block_columns(study, effect, shape)
-        yield shape, block, [p.group for p in chosen], chosen
+        yield shape, *block_columns(study, effect, shape)
 
 
 def block_columns(study: Study, effect: Effect, shape: dict[str, float]) -> tuple[Block, list[Parameter]]:
@@ -72,22 +136,10 @@ def block_columns(study: Study, effect: Effect, shape: dict[str, float]) -> tupl
     chosen = [parameters[i] for i in free]
     scale = np.array([p.scale for p in chosen])
     A = study.columns(study.regressor(effect, theta)[:, :, free] * scale)
-    width = np.array([prior_width(effect.id, p, study.ready.n_joints) for p in chosen])
+    width = np.array([p.prior_width for p in chosen])
     lower = np.array([p.lower for p in chosen]) / scale
     upper = np.array([p.upper for p in chosen]) / scale
     return Block(A, lower, upper, width), chosen
-
-
-def shape_values(study: Study, effect: Effect, parameter: Parameter) -> tuple[float, ...]:
-    """Values to try for a nonlinear parameter; of moments in time only those that part a reference from its loaded rows."""
-    if effect.id != "station_shift" or study.ready.kind != "loaded":
-        return parameter.grid
-    grid = np.array(parameter.grid)
-    rows = study.observation.rows
-    start = study.ready.stamp[study.ready.reference[rows]]
-    end = study.ready.stamp[rows]
-    parted = ((grid[:, None] > np.minimum(start, end)) & (grid[:, None] < np.maximum(start, end))).any(axis=1)
-    return tuple(grid[parted])
 
 
 def block_at(study: Study, variant: Variant, shape: dict[str, float]) -> Block:
@@ -98,60 +150,63 @@ def block_at(study: Study, variant: Variant, shape: dict[str, float]) -> Block:
     return replace(variant.block, A=study.columns(study.regressor(variant.effect, theta)[:, :, chosen] * variant.scale))
 
 
-def try_effect(study: Study, effect: Effect, check: Callable[[], None] = lambda: None) -> Trial | None:
-    """Try an effect in all its variants on top of a model; None where none of its columns shows in this session."""
-    without = study.bench.posterior(study.base)
-    alone = without.log_evidence
+def try_option(ground: Ground, option: Option, scene: Scene) -> Trial:
+    """Try an effect in all its variants on a ground."""
+    effect, alone = option.effect, ground.log_evidence
+    log_odds = effect.log_odds(scene)
     tried: list[tuple[Variant, Posterior]] = []
-    shapes = list(parts(study, effect))
-    for shape, block, group, parameters in shapes:
-        check()
-        shows = np.linalg.norm(block.A, axis=0) > SMALLEST_COLUMN
-        names = list(dict.fromkeys(g for g, s in zip(group, shows, strict=True) if s))
-        if not names:
-            continue
+    for table in option.tables:
+        V, u = ground.reduce(table.block.A)
+        S = table.gram - V.T @ V
+        names = table.groups
 
         def variant(
-            chosen: tuple[str, ...],
-            shape: dict[str, float] = shape,
-            block: Block = block,
-            group: list[str] = group,
-            parameters: list[Parameter] = parameters,
-            shows: Array = shows,
-            names: list[str] = names,
+            chosen: tuple[str, ...], table: Table = table, V: Array = V, u: Array = u, S: Array = S
         ) -> tuple[Variant, Posterior]:
-            columns = [i for i in range(len(group)) if group[i] in chosen and shows[i]]
-            prior = (
-                log_odds(effect.id, study.ready.kind) - log(len(names)) - log(comb(len(names), len(chosen))) - log(len(shapes))
-            )
+            columns = table.columns(chosen)
+            names = table.groups
+            prior = log_odds - log(len(names)) - log(comb(len(names), len(chosen))) - log(len(option.tables))
+            block = table.block.take(columns)
+            at = np.ix_(columns, columns)
+            found = ground.posterior_reduced(S[at], u[columns], V[:, columns], block, FACTORS)
             v = Variant(
-                effect, chosen, shape, tuple(parameters[i].name for i in columns),
-                np.array([parameters[i].scale for i in columns]), block.take(columns), prior,
+                effect, chosen, table.shape, tuple(table.parameters[i].name for i in columns),
+                np.array([table.parameters[i].scale for i in columns]), block.widened(found.factor), prior,
             )  # fmt: skip
-            found = study.bench.posterior(study.base + v.block, FACTORS, slice(study.base.A.shape[1], None))
-            return replace(v, block=v.block.widened(found.factor)), found
+            return v, found
 
         singles = [variant((n,)) for n in names]
         tried += singles
         if len(names) > 2:
             tried += _forward(variant, names, singles)
         if len(names) > 1:
-            tried.append(variant(tuple(names)))
-    if not tried:
-        return None
-    score = np.array([alone + supported(p.log_evidence - alone, without.chi2 - p.chi2) + v.log_prior for v, p in tried])
+            tried.append(variant(names))
+    gained = [supported(p.log_evidence - alone, ground.bench.saved(ground.chi2, p.chi2)) for _, p in tried]
+    score = np.array([alone + g + v.log_prior for g, (v, _) in zip(gained, tried, strict=True)])
     best = int(np.argmax(score))
     total = float(score[best] + np.log(np.exp(score - score[best]).sum()))
     return Trial(effect, *tried[best], total - alone)
 
 
-def supported(log_evidence: float, chi2_saved: float) -> float:
-    """Evidence that the data bear out: without a fall of the residual, evidence only means that a prior was relieved."""
-    return min(log_evidence, max(chi2_saved, 0.0))
+def try_effect(study: Study, effect: Effect, check: Callable[[], None] = lambda: None) -> Trial | None:
+    """Try one effect on top of a model; None where none of its columns shows in this session."""
+    found, _ = options(study, [effect], check)
+    return try_option(Ground(study.bench, study.base), found[0], study.ready) if found else None
+
+
+def supported(log_evidence: float, saved: float) -> float:
+    """Evidence that the data bear out: without a fall of the residual, evidence only means that a prior was relieved.
+
+    Args:
+        saved: by the fall of the residual (`Bench.saved`).
+    """
+    return min(log_evidence, max(saved, 0.0))
 
 
 def _forward(
-    variant: Callable[[tuple[str, ...]], tuple[Variant, Posterior]], names: list[str], singles: list[tuple[Variant, Posterior]]
+    variant: Callable[[tuple[str, ...]], tuple[Variant, Posterior]],
+    names: Sequence[str],
+    singles: list[tuple[Variant, Posterior]],
 ) -> list[tuple[Variant, Posterior]]:
     """Sets of groups built up one by one, as long as the evidence rises."""
     out: list[tuple[Variant, Posterior]] = []

@@ -6,11 +6,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtr, fdtrc
 
-from ..identify import observe_with_force_noise, registered
+from ..identification.identify import observe_with_force_noise, with_registration
+from ..identification.observe import Observation
+from ..identification.validation import rms
+from ..lengths import length
 from ..model import Term, total_displacement
-from ..observe import Observation
 from ..session.data import Session
 from ..typing import Array
 from .result import Comparison
@@ -29,7 +31,7 @@ def compare(session: Session, terms: Sequence[Term]) -> Comparison:
         SolveError: the session has no usable row.
     """
     observation = observe_with_force_noise(session, terms)
-    return compare_observed(observation, registered(terms, observation))
+    return compare_observed(observation, with_registration(terms, observation))
 
 
 def compare_observed(observation: Observation, terms: Sequence[Term], fitted: int = 0) -> Comparison:
@@ -41,23 +43,22 @@ def compare_observed(observation: Observation, terms: Sequence[Term], fitted: in
     session = observation.session
     predicted = observation.of(total_displacement(terms, observation.scene))
     residual = observation.y - predicted
-    squared = (residual**2).sum(axis=1)
-    rms, floor = float(np.sqrt(squared.mean())), observation.whiten.floor
+    left, floor = rms(residual), observation.whiten.floor
     chi2 = float((observation.whiten(residual) ** 2).sum())
     repeat_floor, repeat_dof, ratio = repeat_noise(observation, residual)
     notes = list(session.notes)
     if repeat_dof >= FEWEST_REPEATS:
-        p = 2.0 * min(f_distribution.sf(ratio, repeat_dof, 1e6), f_distribution.cdf(ratio, repeat_dof, 1e6))
+        p = 2.0 * min(fdtrc(repeat_dof, 1e6, ratio), fdtr(repeat_dof, 1e6, ratio))
         if p < DISAGREEMENT:
             notes.append(
-                f"repeats scatter by {1e6 * repeat_floor:.1f} um, the data sheet says {1e6 * floor:.1f} um: the noise in "
+                f"repeats scatter by {length(repeat_floor)}, the data sheet says {length(floor)}: the noise in "
                 "session.yaml"
                 f" is too {'small' if ratio > 1 else 'large'}, or the history of the load matters (hysteresis)"
             )
     variance_ratio = chi2 / max(residual.size - fitted, 1)
     if variance_ratio < QUIETER:
         notes.append(
-            f"the residual, {1e6 * rms:.1f} um, is well below the noise that session.yaml states, {1e6 * floor:.1f} um: "
+            f"the residual, {length(left)}, is well below the noise that session.yaml states, {length(floor)}: "
             "the instruments "
             "did better than their data sheet, and an effect smaller than the stated noise would not be found; state their real "
             "repeatability under `noise`"
@@ -68,13 +69,13 @@ def compare_observed(observation: Observation, terms: Sequence[Term], fitted: in
         measured=observation.y,
         predicted=predicted,
         residual=residual,
-        rms_m=rms,
+        rms_m=left,
         noise_floor_m=floor,
         repeat_floor_m=repeat_floor,
-        explainable_m=float(np.sqrt(max(rms**2 - floor**2, 0.0))),
+        explainable_m=float(np.sqrt(max(left**2 - floor**2, 0.0))),
         chi2_per_dof=variance_ratio,
-        by_pose={int(p): _rms(squared[observation.pose == p]) for p in observation.poses},
-        by_load_case={session.case_name(int(j)): _rms(squared[case == j]) for j in np.unique(case)},
+        by_pose={int(p): rms(residual[observation.pose == p]) for p in observation.poses},
+        by_load_case={session.case_name(int(j)): rms(residual[case == j]) for j in np.unique(case)},
         by_axis=tuple(float(np.sqrt((residual[:, a] ** 2).mean())) for a in range(3)),  # type: ignore[arg-type]
         notes=tuple(notes),
     )
@@ -102,6 +103,3 @@ def repeat_noise(observation: Observation, residual: Array) -> tuple[float, int,
         return float("nan"), 0, 1.0
     return float(np.sqrt(3.0 * total / dof)), dof, relative / dof
 
-
-def _rms(squared: Array) -> float:
-    return float(np.sqrt(squared.mean()))

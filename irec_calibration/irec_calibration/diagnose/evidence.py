@@ -4,21 +4,37 @@
 Everything is one linear-Gaussian problem in whitened equations and scaled parameters: b = A x + noise, x normal about 0 with
 given widths, cut at its bounds. The evidence (marginal likelihood) weighs fit against flexibility without a tuning constant, so
 that effects with few and many parameters, and a wrong cause that 18 compliances could nearly absorb, compete on one scale. The
-noise level is the instruments' within a few per cent; a Student-t in place of the normal carries that uncertainty.
+level of the noise is unknown: its prior is the stated one within a factor of two, and the evidence integrates over it (a
+Student-t in place of the normal).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import erfcx, log_ndtr
 
-from ..bounded import solve_bounded_gram
+from ..identification.bounded import solve_bounded_gram
+from ..identification.validation import RIDGE, predicted_from_others
 from ..typing import Array, IntArray
 
-NOISE_DOF = 100.0  # how many equations' worth the data sheet's noise level counts: sigma known to about 7 %
-RIDGE = 1e-9
+Products = tuple[Array, Array]  # A'A and A'b of a block
+
+
+@dataclass(frozen=True)
+class NoisePrior:
+    """What is believed of the level of the noise before the equations are seen (scaled inverse chi squared).
+
+    Attributes:
+        dof: how many equations' worth the belief counts; 4 is a factor of two either way at two standard deviations.
+        scale: believed level, in units of the one that the equations are whitened by.
+    """
+
+    dof: float = 4.0
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -73,14 +89,17 @@ class Bench:
         b: (n,) whitened; pose: pose number of each equation, (n,).
     """
 
-    def __init__(self, b: Array, pose: IntArray) -> None:
+    def __init__(self, b: Array, pose: IntArray, noise: NoisePrior | None = None) -> None:
+        self.noise = noise or NoisePrior()
         self.b = b
         self.pose = pose
         self.poses = np.unique(pose)
         self._of_pose = [np.flatnonzero(pose == p) for p in self.poses]
         self.bb = float(b @ b)
 
-    def posterior(self, block: Block, factors: Array | None = None, own: slice | None = None) -> Posterior:
+    def posterior(
+        self, block: Block, factors: Array | None = None, own: slice | None = None, products: Products | None = None
+    ) -> Posterior:
         """Posterior of a block; with `factors`, the evidence is averaged over prior widths of the columns `own` times each
         factor.
 
@@ -88,8 +107,9 @@ class Bench:
             block: all columns.
             factors: multiples of the prior width of the columns in `own`, equally likely beforehand.
             own: which columns the factors apply to.
+            products: A'A and A'b of the block, where they are known already.
         """
-        G, h = block.A.T @ block.A, block.A.T @ self.b
+        G, h = products or (block.A.T @ block.A, block.A.T @ self.b)
         width = np.tile(block.width, (1 if factors is None else len(factors), 1))
         if factors is not None and own is not None:
             width[:, own] *= factors[:, None]
@@ -109,27 +129,118 @@ class Bench:
         Gx = x @ G
         chi2 = np.maximum(self.bb - 2.0 * x @ h + np.einsum("ki,ki->k", x, Gx), 0.0)
         loss = chi2 + (precision * x**2).sum(axis=1)
-        n = len(self.b)
-        fit = -0.5 * (n + NOISE_DOF) * np.log1p(loss / NOISE_DOF)
+        fit = self.log_fit(loss)
         flexibility = np.array([_log_volume(H[k], h, x[k], precision[k], block) for k in range(len(x))])
         return x, chi2, fit + flexibility
 
+    def log_fit(self, loss: Array) -> Array:
+        """Log probability of the equations with a loss (squared residual and penalty), integrated over the noise level."""
+        dof = self.noise.dof
+        return -0.5 * (len(self.b) + dof) * np.log1p(loss / (dof * self.noise.scale**2))
+
+    def saved(self, chi2_before: float, chi2_after: float) -> float:
+        """What a fall of the squared residual is worth at the noise level that it shows itself: about the fall in variances."""
+        before, after = self.log_fit(np.array([chi2_before, chi2_after]))
+        return float(2.0 * (after - before))
+
     def held_out(self, block: Block) -> Array:
         """Whitened residual of every equation, each pose predicted from all others, (n,)."""
-        G, h = block.A.T @ block.A, block.A.T @ self.b
-        parts = [block.A[rows] for rows in self._of_pose]
-        G_out = G - np.stack([a.T @ a for a in parts])
-        h_out = h - np.stack([a.T @ self.b[rows] for a, rows in zip(parts, self._of_pose, strict=True)])
-        precision = np.maximum(1.0 / block.width**2, RIDGE * max(float(G.diagonal().max()), 1e-30))
-        x = solve_bounded_gram(G_out + np.diag(precision), h_out, block.lower, block.upper)
-        out = np.empty_like(self.b)
-        for rows, a, values in zip(self._of_pose, parts, x, strict=True):
-            out[rows] = self.b[rows] - a @ values
-        return out
+        precision = 1.0 / block.width**2
+        return predicted_from_others(block.A, self.b, self._of_pose, block.lower, block.upper, precision)
 
     def by_pose(self, squared: Array) -> Array:
         """Sum per pose of a quantity per equation, (n,) -> (poses,)."""
         return np.array([squared[rows].sum() for rows in self._of_pose])
+
+
+class Ground:
+    """A block fitted and held as the ground that many further blocks are tried on: each costs only a problem of its own size.
+
+    Which columns of the ground stand at a bound is decided once, without the further blocks.
+
+    Attributes:
+        log_evidence, chi2: of the ground alone, as `Bench.posterior`.
+        residual: whitened, of every equation, (n,).
+        fitted: how many equations' worth the ground takes up (effective number of parameters).
+    """
+
+    def __init__(self, bench: Bench, block: Block, products: Products | None = None) -> None:
+        """products: A'A and A'b of the block, where they are known already."""
+        G, h = products or (block.A.T @ block.A, block.A.T @ bench.b)
+        self.bench, self._block = bench, block
+        alone = bench.posterior(block, products=(G, h))
+        self.log_evidence, self.chi2 = alone.log_evidence, alone.chi2
+        x = alone.x
+        self._free = (x > block.lower) & (x < block.upper)
+        self._x_held = x[~self._free]
+        precision = np.maximum(1.0 / block.width**2, RIDGE * max(float(G.diagonal().max(initial=0.0)), 1e-30))
+        self._b = bench.b - block.A[:, ~self._free] @ self._x_held
+        self._held = float((precision[~self._free] * self._x_held**2).sum())
+        self._precision = precision[self._free]
+        self._L = np.linalg.cholesky(G[np.ix_(self._free, self._free)] + np.diag(self._precision))
+        rest = h[self._free] - G[np.ix_(self._free, ~self._free)] @ self._x_held
+        self._c = solve_triangular(self._L, rest, lower=True)
+        self.loss = max(float(self._b @ self._b - self._c @ self._c), 1e-12) + self._held
+        self._fit = float(bench.log_fit(np.array(self.loss)))
+
+    @cached_property
+    def _B(self) -> Array:
+        return self._block.A[:, self._free]
+
+    @cached_property
+    def residual(self) -> Array:
+        return np.asarray(self._b - self._B @ solve_triangular(self._L, self._c, lower=True, trans="T"))
+
+    @cached_property
+    def fitted(self) -> float:
+        inverse = np.linalg.inv(self._L)
+        return len(inverse) - float(((inverse**2).sum(axis=0) * self._precision).sum())
+
+    def reduce(self, X: Array) -> tuple[Array, Array]:
+        """What is left of columns beside the ground: V (free, m) with S = X'X - V'V, and u = X'b - V'c, (m,)."""
+        V = solve_triangular(self._L, self._B.T @ X, lower=True)
+        return V, X.T @ self._b - V.T @ self._c
+
+    def reduced(self, crossed: Array, by_b: Array) -> tuple[Array, Array]:
+        """As `reduce`, where the products of the columns with the ground's block, A'X (p, m), and with b, X'b (m,), are known."""
+        V = solve_triangular(self._L, crossed[self._free], lower=True)
+        return V, by_b - self._x_held @ crossed[~self._free] - V.T @ self._c
+
+    def beside(self, column: Array) -> Array:
+        """What is left of a column, (n,), beside the ground."""
+        V, _ = self.reduce(column[:, None])
+        out: Array = column - self._B @ solve_triangular(self._L, V[:, 0], lower=True, trans="T")
+        return out
+
+    def fit_gain(self, loss: Array) -> Array:
+        """Log evidence gained by the fit alone where the loss falls to these values."""
+        return self.bench.log_fit(np.maximum(loss, 1e-12)) - self._fit
+
+    def posterior(self, block: Block, factors: Array) -> Posterior:
+        """Posterior of a further block, its evidence averaged over its prior width times each factor.
+
+        x holds the further block's columns only; log_evidence is that of ground and block together.
+        """
+        V, u = self.reduce(block.A)
+        return self.posterior_reduced(block.A.T @ block.A - V.T @ V, u, V, block, factors)
+
+    def posterior_reduced(self, S: Array, u: Array, V: Array, block: Block, factors: Array) -> Posterior:
+        """As `posterior`, for a block whose reduced columns are known already (see `reduce`)."""
+        precision = np.maximum((block.width * factors[:, None]) ** -2.0, RIDGE * max(float(S.diagonal().max()), 1e-30))
+        H = S + precision[:, :, None] * np.eye(len(u))
+        if np.isinf(block.lower).all() and np.isinf(block.upper).all():
+            x = np.linalg.solve(H, np.broadcast_to(u, (len(H), len(u)))[:, :, None])[:, :, 0]
+            volume = 0.5 * (np.log(precision).sum(axis=1) - np.linalg.slogdet(H)[1])
+        else:
+            x = solve_bounded_gram(H, u, block.lower, block.upper)
+            volume = np.array([_log_volume(H[k], u, x[k], precision[k], block) for k in range(len(x))])
+        loss = self.loss - 2.0 * x @ u + np.einsum("ki,kij,kj->k", x, H, x)
+        gained = self.fit_gain(loss) + volume
+        best = int(np.argmax(gained))
+        beside = solve_triangular(self._L, self._c - V @ x[best], lower=True, trans="T")
+        chi2 = loss[best] - precision[best] @ x[best] ** 2 - self._held - self._precision @ beside**2
+        total = self.log_evidence + float(_log_mean_exp(gained))
+        return Posterior(x[best], max(float(chi2), 0.0), total, float(factors[best]))
 
 
 def _log_volume(H: Array, h: Array, x: Array, precision: Array, block: Block) -> float:

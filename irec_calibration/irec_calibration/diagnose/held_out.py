@@ -1,55 +1,68 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error over held-out poses, and whether one model beats another there."""
+"""Held-out error of a prepared model, and what people are shown of a model: the same whichever command asks."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as student
 
-from ..typing import Array
+from ..identification.identify import fit, observe_with_force_noise
+from ..identification.provenance import model_of
+from ..identification.validation import HeldOut, held_out_error
+from ..model import Model, Term
+from ..session.data import Session
 from .evidence import Block
-from .study import Study
+from .remainder import Remainder
+from .study import Study, prepare
+
+FEWEST = 3  # poses that a comparison needs
 
 
 @dataclass(frozen=True)
-class HeldOut:
-    """Every pose predicted from all the others.
+class Validated:
+    """A model fitted to a session by itself, with its error on held-out poses: the figures that people see."""
 
-    Attributes:
-        rms_m, rms_se_m: sqrt(mean |r|^2) per sample and its standard error over poses, m; NaN where there is one pose.
-        loss: squared residual in standard deviations, mean per equation of each pose, (poses,).
-        residual: (m, 3), m.
-    """
-
-    rms_m: float
-    rms_se_m: float
-    loss: Array
-    residual: Array
+    study: Study
+    held_out: HeldOut
 
 
 def held_out(study: Study, block: Block | None = None) -> HeldOut:
-    """Held-out error of the model of a study, with further columns where given."""
+    """Held-out error of the model of a study, with further columns where given (a trial)."""
     columns = study.base if block is None else study.base + block
-    bench = study.bench
-    if len(bench.poses) < 2:
-        m = len(study.observation.rows)
-        return HeldOut(float("nan"), float("nan"), np.full(len(bench.poses), np.nan), np.full((m, 3), np.nan))
-    white = bench.held_out(columns)
-    residual = study.observation.whiten.undo(white.reshape(-1, 3))
-    count = bench.by_pose(np.ones(len(white)))
-    per_pose = bench.by_pose(np.repeat((residual**2).sum(axis=1), 3)) / count
-    rms = float(np.sqrt((residual**2).sum(axis=1).mean()))
-    se = float(per_pose.std(ddof=1) / np.sqrt(len(per_pose)) / (2.0 * max(rms, 1e-12)))
-    return HeldOut(rms, se, bench.by_pose(white**2) / count, residual)
+    white = study.bench.held_out(columns) if len(study.bench.poses) > 1 else None
+    return held_out_error(study.observation, white)
 
 
-def gain(before: HeldOut, after: HeldOut) -> tuple[float, float, float]:
-    """Mean loss saved per equation, its standard error over poses, and the one-sided p-value of a paired t-test."""
-    saved = before.loss - after.loss
-    n = len(saved)
-    if n < 3 or not np.isfinite(saved).all():
-        return float("nan"), float("nan"), 1.0
-    mean, se = float(saved.mean()), float(saved.std(ddof=1) / np.sqrt(n))
-    return mean, se, float(student.sf(mean / max(se, 1e-12), n - 1))
+def only_good_poses(found: HeldOut, study: Study, remainder: Remainder) -> HeldOut:
+    """The same for a comparison (`gain`), without poses in which a row stands out: no other pose can predict a bad reading."""
+    rows = [r for p in remainder.bad_rows for r in p.structure.rows]
+    keep = ~np.isin(found.poses, study.session.pose[rows])
+    return replace(found, poses=found.poses[keep], loss=found.loss[keep]) if keep.sum() >= FEWEST else found
+
+
+def validated(session: Session, terms: Sequence[Term]) -> Validated:
+    """Fit a model to a session and hold out each pose, as ESTIMATOR says; nothing counts but the session and the terms.
+
+    Raises:
+        SolveError: the session can't be used with this model.
+    """
+    study = prepare(session, terms)
+    return Validated(study, held_out(study))
+
+
+def solved(session: Session, terms: Sequence[Term]) -> tuple[Model, tuple[str, ...]]:
+    """The model of a session: identified from all its rows, with its held-out error; and notes on the session.
+
+    What `irec solve` and the service write.
+
+    Raises:
+        SolveError: the session can't determine it; says what is missing.
+    """
+    made = validated(session, terms)
+    study, result = made.study, made.study.fit
+    whole = observe_with_force_noise(session, terms) if session.kind == "absolute" else study.observation
+    if len(whole.rows) != len(study.observation.rows):  # models are compared on fewer poses than there are
+        result = fit(study.terms, whole, prior_width=study.base.width)
+    return model_of(result, held_out=made.held_out), study.session.notes

@@ -6,25 +6,25 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from ..effects import Effect, find_effect
+from ..effects import Effect, Evidence
 from ..errors import Cancelled, EffectError, ModelError
+from ..identification.provenance import model_of
+from ..identification.validation import ESTIMATOR
+from ..lengths import length
 from ..model import Estimate, Model, Term
-from ..provenance import model_of
 from ..session.data import Session
 from ..typing import Json
+from .assessment import Assessment
 from .candidates import try_effect
-from .held_out import HeldOut, gain, held_out
-from .judge import judge
-from .parts import Parts, parts_json, settle
+from .held_out import Validated, validated
+from .parts import Parts, parts_json, prune
 from .result import Diagnosis, finite
 from .run import Progress, examine
-from .search import NATS_TO_NAME, Hypothesis, refit, search
-from .study import Study, prepare, study_of
-from .tool_weight import reference_readings
+from .shape import refit
+from .study import Study
+from .tool_weight import READ_AT_REFERENCES, reference_readings
 
 LADDER_FORMAT = "irec-ladder/1"
-MOST_EFFECTS = 4
-HELPS_SIGMAS = 3.0  # by which the held-out loss must fall for an effect that is known to be there
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,7 @@ class Ladder:
             "format": LADDER_FORMAT,
             "session": self.session,
             "noise_floor_m": self.noise_floor_m,
+            "estimator": ESTIMATOR,
             "steps": steps,
             "stopped": self.stopped,
         }
@@ -100,89 +101,56 @@ def improve(
         if cancelled is not None and cancelled():
             raise Cancelled("the improvement was cancelled")
 
-    before, found, verdict = examine(session, model, progress=lambda s, what: say(0.5 * s, what), cancelled=cancelled)
-    study = found.study
-    rungs = [_rung(study, "", 0.0, model)]
-    stopped = "no further effect is justified"
-    sag = _sag(study) if verdict.status == "unexplained" else None
-    if sag is not None:
-        study = sag.study
-        rungs.append(_rung(study, sag.ids[-1], sag.log_evidence, rungs[-1].model))
-        say(0.6, f"looking for a further effect beside {', '.join(rungs[-1].effects)}")
-        verdict = judge(search(study, check), None, check)
-    while len(rungs) <= MOST_EFFECTS:
-        if verdict.chosen is None or verdict.status != "missing_effect":
-            if verdict.status == "unexplained":
-                stopped = "what is left has structure, but no effect explains it"
-            break
-        for step in _one_by_one(study, verdict.chosen):
-            # an effect that was added before may need fewer axes now
-            settled = settle(step.study, (*(r.added for r in rungs if r.added), step.ids[-1]))
-            study = settled.study
-            rungs.append(_rung(study, step.ids[-1], step.log_evidence, rungs[-1].model, settled.parts))
-        say(min(0.95, 0.5 + 0.15 * len(rungs)), f"looking for a further effect beside {', '.join(rungs[-1].effects)}")
-        verdict = judge(search(study, check), None, check)
-    else:
-        stopped = f"{MOST_EFFECTS} effects were added"
-    readings = reference_readings(found.study.ready, session.noise.force_n) if session.kind == "loaded" else None
-    if readings is not None and readings.log_evidence > NATS_TO_NAME and "tool_weight" not in rungs[-1].effects:
-        term = next(c.term for c in before.candidates if c.effect == "tool_weight")
+    before, assessment, shown = examine(session, model, progress=lambda s, what: say(0.9 * s, what), cancelled=cancelled)
+    start, added = assessment.built.start.study, assessment.built.final
+    rungs = [_rung(shown.asked, "", 0.0, model)]
+    base = list(shown.asked.study.terms)
+    if shown.completed is not None:
+        rungs.append(_rung(shown.completed, "+".join(shown.form), shown.form_evidence, rungs[-1].model))
+        base = list(start.terms)
+    for n, effect in enumerate(added.ids, start=1):
+        check()
+        is_last = n == len(added.ids)
+        one = shown.after if is_last else validated(session, [*base, *added.added[:n]])
+        evidence = assessment.built.evidence.get(effect, float("nan"))
+        rungs.append(_rung(one, effect, evidence, rungs[-1].model, assessment.parts if is_last else {}))
+    readings = assessment.readings
+    if assessment.weight_wrong and readings is not None and READ_AT_REFERENCES.id not in rungs[-1].effects:
+        term = next(c.term for c in before.candidates if c.effect == READ_AT_REFERENCES.id)
         last = rungs[-1]
         heavier = replace(last.model, terms=(*last.model.terms, term))
+        effects = (*last.effects, READ_AT_REFERENCES.id)
         rungs.append(
-            replace(
-                last,
-                added="tool_weight",
-                effects=(*last.effects, "tool_weight"),
-                log_evidence=readings.log_evidence,
-                model=heavier,
-            )
+            replace(last, added=READ_AT_REFERENCES.id, effects=effects, log_evidence=readings.log_evidence, model=heavier)
         )
     say(1.0, "done")
-    return Ladder(session.name, before.comparison.noise_floor_m, tuple(rungs), before, stopped)
+    return Ladder(session.name, before.comparison.noise_floor_m, tuple(rungs), before, _stopped(assessment))
 
 
-def _sag(study: Study) -> Hypothesis | None:
-    """Joint torsion on top of a model of an absolute session, where it helps on held-out poses; None elsewhere.
-
-    That joints give way under gravity needs no naming: it is known of every arm. So it goes in although it does not explain most
-    of what is left, provided that it earns it.
-    """
-    effect = find_effect("joint_torsion")
-    if study.session.kind != "absolute" or effect.id in (t.effect.id for t in study.terms) or study.why_not(effect):
-        return None
-    trial = try_effect(study, effect)
-    found = refit(study, study, trial) if trial is not None and trial.log_evidence > NATS_TO_NAME else None
-    if found is None:
-        return None
-    mean, se, _ = gain(held_out(study), held_out(found.study))
-    return found if mean > HELPS_SIGMAS * se else None
+def _stopped(assessment: Assessment) -> str:
+    """Why no further effect is added."""
+    if assessment.evidence:
+        why = f": {assessment.reason}" if assessment.reason else ""
+        return f"what is left, {length(assessment.remaining_m)}, has structure, but no effect of the catalogue explains it{why}"
+    return "no further effect is justified"
 
 
-def _one_by_one(study: Study, chosen: Hypothesis) -> list[Hypothesis]:
-    """The hypotheses that lead from a model to the chosen one, one effect at a time."""
-    steps = []
-    for n in range(1, len(chosen.added)):
-        part = study_of(study.observation, (*study.terms, *chosen.added[:n]))
-        steps.append(Hypothesis(chosen.added[:n], part, float("nan")))
-    return [*steps, chosen]
-
-
-def _rung(study: Study, added: str, evidence: float, parent: Model | None, parts: dict[str, Parts] | None = None) -> Rung:
-    cv = held_out(study)
+def _rung(made: Validated, added: str, evidence: float, parent: Model | None, parts: dict[str, Parts] | None = None) -> Rung:
+    cv, fit = made.held_out, made.study.fit
     return Rung(
-        added, tuple(t.effect.id for t in study.terms), study.fit.rms, cv.rms_m, cv.rms_se_m, evidence,
-        versioned(study, cv, parent, f"added {added}" if added else "start", parts or {}), parts or {},
+        added, tuple(t.effect.id for t in made.study.terms), fit.rms, cv.rms_m, cv.rms_se_m, evidence,
+        versioned(made, parent, f"added {added}" if added else "start", parts or {}), parts or {},
     )  # fmt: skip
 
 
-def versioned(study: Study, cv: HeldOut, parent: Model | None, change: str, parts: dict[str, Parts] | None = None) -> Model:
-    """The model of a study with its history: one entry for each version.
+def versioned(made: Validated, parent: Model | None, change: str, parts: dict[str, Parts] | None = None) -> Model:
+    """The model that was fitted to a session, with its history: one entry for each version.
 
     Args:
         parts: which axes or directions of the added effects the session proves.
     """
-    new = model_of(study.fit, cv_rms=cv.rms_m)
+    study, cv = made.study, made.held_out
+    new = model_of(study.fit, held_out=cv)
     entry = {
         "change": change,
         "effects": list(new.effects),
@@ -208,29 +176,31 @@ def add_effect(model: Model, effect: Effect, session: Session) -> tuple[Model, S
     """
     if effect.id in model.effects:
         raise ModelError(f"the model has the effect '{effect.id}' already; its effects are {', '.join(model.effects)}")
-    old = prepare(session, model.terms)
+    before = validated(session, model.terms)
+    old = before.study
     why = old.why_not(effect)
-    if effect.id == "tool_weight" and not why:
-        return _with_weight(model, effect, old)
+    if effect.evidence is Evidence.REFERENCE_READINGS and not why:
+        return _with_weight(model, effect, before)
     trial = None if why else try_effect(old, effect)
     if trial is None:
         raise EffectError(
             f"effect '{effect.id}' can't be identified from {session.name}: {why or 'it moves nothing in this session'}"
         )
-    found = refit(old, old, trial)
+    found = refit(old, trial)
     if found is None:
         raise EffectError(f"effect '{effect.id}' could not be fitted to {session.name} together with {', '.join(model.effects)}")
-    settled = settle(found.study, found.ids)
-    new = versioned(settled.study, held_out(settled.study), model, f"added {effect.id}", settled.parts)
-    return new, old, settled.study
+    pruned = prune(found, (effect.id,))
+    made = validated(session, pruned.study.terms)
+    return versioned(made, model, f"added {effect.id}", pruned.parts), old, made.study
 
 
-def _with_weight(model: Model, effect: Effect, old: Study) -> tuple[Model, Study, Study]:
+def _with_weight(model: Model, effect: Effect, before: Validated) -> tuple[Model, Study, Study]:
+    old = before.study
     readings = reference_readings(old.ready, old.session.noise.force_n)
     if readings is None:
         raise EffectError(f"effect '{effect.id}' needs force readings at the references of a loaded session")
     term = Term(effect, {"dm": Estimate(readings.mass, readings.mass_se, "kg", -500.0, 500.0)})
-    new = versioned(old, held_out(old), model, f"added {effect.id}")
+    new = versioned(before, model, f"added {effect.id}")
     return replace(new, terms=(*new.terms, term)), old, old
 
 
@@ -245,8 +215,8 @@ def remove_effect(model: Model, effect_id: str, session: Session) -> tuple[Model
     rest = remaining(model.terms, effect_id)
     if not rest:
         raise ModelError(f"'{effect_id}' is the model's only effect: nothing would be left")
-    study = prepare(session, rest)
-    return versioned(study, held_out(study), model, f"removed {effect_id}"), study
+    made = validated(session, rest)
+    return versioned(made, model, f"removed {effect_id}"), made.study
 
 
 def remaining(terms: Sequence[Term], effect_id: str) -> tuple[Term, ...]:

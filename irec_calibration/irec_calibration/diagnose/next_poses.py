@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..effects.scene import Scene, marker_by_controller, scene_of
+from ..identification.noise import position_sigma
 from ..model import Term, total_displacement
-from ..noise import position_sigma
-from ..scene import Scene, marker_by_controller, scene_of
 from ..session.data import Session
 from ..typing import BoolArray
 from .result import Measurement

@@ -15,13 +15,16 @@ from math import comb, log
 
 import numpy as np
 
-from ..effects import Effect
+from ..effects import Effect, known_effects
+from ..effects import Family as Alike
 from ..errors import SolveError
 from ..model import Estimate, Term
 from ..typing import Json
 from .candidates import SMALLEST_COLUMN, block_columns, supported
-from .evidence import Posterior
+from .evidence import Block, Ground, Posterior
+from .family import Family
 from .priors import FACTORS
+from .remainder import grow
 from .study import Study, study_of
 
 NATS_TO_PROVE = 6.5  # log evidence that a part needs of its own: odds of 600, as the name of an effect does
@@ -29,7 +32,6 @@ NATS_WITHIN_REACH = 5.0  # sets of parts that explain the session this much wors
 SHARE_TO_PROVE = 0.02  # of what the effect explains: a smaller part may make up for an effect's form that is not quite right
 REFINED = np.geomspace(1 / 1.6, 1.6, 5)  # around a fitted shape value, in which fits with other parts look for theirs
 ROUNDS = 3  # of moving to a better set of parts
-KNOWN_EVERYWHERE = ("joint_torsion", "link_bending")  # every axis gives way: no axis is taken out for want of evidence
 
 Names = tuple[str, ...]
 
@@ -52,7 +54,7 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Settled:
+class Pruned:
     """A fitted model after its added effects were cut down to the parts that they need.
 
     Attributes:
@@ -68,10 +70,10 @@ class Settled:
 class _Sets:
     """Scores sets of parts of one effect on top of a model; higher is better, natural log."""
 
-    def __init__(self, rest: Study, effect: Effect, fitted: dict[str, float]) -> None:
+    def __init__(self, rest: Study, effect: Effect, fitted: dict[str, float], beside: Block | None) -> None:
         self.rest, self.effect = rest, effect
-        self.n_base = rest.base.A.shape[1]
-        self.alone = rest.bench.posterior(rest.base)
+        self.ground = Ground(rest.bench, rest.base if beside is None else rest.base + beside)
+        self.alone = Posterior(np.zeros(0), self.ground.chi2, self.ground.log_evidence)
         self.tables = [(s, *block_columns(rest, effect, s)) for s in _shapes(rest, effect, fitted)]
         shown = [
             p.group
@@ -100,9 +102,9 @@ class _Sets:
                 chosen = self.columns(names, i)
                 if not names or not chosen:
                     continue
-                both = self.rest.base + block.take(chosen)
-                found = self.rest.bench.posterior(both, FACTORS, slice(self.n_base, None))
-                gained = supported(found.log_evidence - self.alone.log_evidence, self.alone.chi2 - found.chi2)
+                found = self.ground.posterior(block.take(chosen), FACTORS)
+                saved = self.rest.bench.saved(self.alone.chi2, found.chi2)
+                gained = supported(found.log_evidence - self.alone.log_evidence, saved)
                 score = self.alone.log_evidence + gained - log(comb(len(self.names), len(names)))
                 if not tried or score > best[0]:
                     best, tried = (score, found, i), True
@@ -115,7 +117,8 @@ class _Sets:
     def cost(self, names: Names, part: str) -> float:
         """What a set loses without one of its parts; only as far as the residual rises."""
         less = tuple(n for n in names if n != part)
-        return min(self.score(names) - self.score(less), max(self.fit(less)[1].chi2 - self.fit(names)[1].chi2, 0.0))
+        risen = self.rest.bench.saved(self.fit(less)[1].chi2, self.fit(names)[1].chi2)
+        return min(self.score(names) - self.score(less), max(risen, 0.0))
 
     def cut_down(self, names: Names) -> Names:
         """Parts taken out one by one, the least needed first, as long as neither one nor all of them are missed."""
@@ -174,7 +177,7 @@ class _Sets:
         _, posterior, i = self.fit(names)
         shape, block, parameters = self.tables[i]
         chosen = self.columns(names, i)
-        value = dict(zip((parameters[c].name for c in chosen), posterior.x[self.n_base :], strict=True))
+        value = dict(zip((parameters[c].name for c in chosen), posterior.x, strict=True))
         estimates = {}
         for p in self.effect.parameters(self.rest.ready):
             if p.name in value or p.name in shape:
@@ -211,12 +214,13 @@ def parts_in(term: Term, study: Study) -> Names:
     return tuple(dict.fromkeys(groups))
 
 
-def settle(study: Study, added: Iterable[str]) -> Settled:
+def prune(study: Study, added: Iterable[str], beside: Block | None = None, family: Family | None = None) -> Pruned:
     """Cut the added effects of a fitted model down to the parts that the session asks for, and say which of them it proves.
 
     Args:
         study: the model with the added effects.
         added: their ids; effects that have no parts are left alone.
+        beside: columns of an unnamed remainder; family: structures that may stand in for a part.
     """
     known: dict[str, Parts] = {}
     other = None
@@ -227,13 +231,16 @@ def settle(study: Study, added: Iterable[str]) -> Settled:
             continue
         try:
             rest = study_of(study.observation, tuple(t for t in study.terms if t is not term))
-            sets = _Sets(rest, term.effect, {n: e.value for n, e in term.estimates.items()})
+            sets = _Sets(rest, term.effect, {n: e.value for n, e in term.estimates.items()}, beside)
             if len(sets.names) < 2:
                 known[effect_id] = Parts(proven=present)
                 continue
-            names, near = sets.best(sets.ordered(present) or sets.names)
+            starts = dict.fromkeys((sets.ordered(present) or sets.names, sets.names))
+            names, near = sets.best(max((sets.cut_down(s) for s in starts), key=sets.score))
             known[effect_id] = sets.parts(names, near)
-            if effect_id in KNOWN_EVERYWHERE:
+            if family is not None:
+                known[effect_id] = _beyond_structures(known[effect_id], sets, names, beside, family)
+            if term.effect.everywhere:  # every axis gives way: none is taken out for want of evidence
                 said = known[effect_id]
                 known[effect_id] = replace(said, perhaps=tuple(n for n in present if n not in said.proven), one_of=())
                 continue
@@ -244,7 +251,48 @@ def settle(study: Study, added: Iterable[str]) -> Settled:
                 other = (_with(study, sets.term(rival)).terms, (_label(effect_id, names), _label(effect_id, rival)))
         except SolveError:
             known[effect_id] = Parts(perhaps=present)
-    return Settled(study, known, other)
+    return Pruned(study, known, other)
+
+
+def _beyond_structures(parts: Parts, sets: _Sets, names: Names, beside: Block | None, family: Family) -> Parts:
+    """Parts of which some are no longer proven, because an unnamed structure explains the session as well in their place; or, of
+    several axes with one law of torque, another law in one of them."""
+    doubtful = []
+    axes = {p.group: p.axis for p in sets.effect.parameters(sets.rest.ready)}
+    for n in parts.proven:
+        less = tuple(m for m in names if m != n)
+        base = sets.rest.base if beside is None else sets.rest.base + beside
+        if less:
+            _, found, i = sets.fit(less)
+            base = base + sets.tables[i][1].take(sets.columns(less, i)).widened(found.factor)
+        instead = grow(sets.rest.bench, family, base, most=2, beside_axis=axes.get(n)).gained
+        if less and sets.effect.family is Alike.TORQUE_LAW:
+            instead = max(instead, _by_another_law(sets, base, axes.get(n)))
+        if sets.cost(names, n) - instead < NATS_TO_PROVE:
+            doubtful.append(n)
+    if not doubtful:
+        return parts
+    return replace(parts, proven=tuple(n for n in parts.proven if n not in doubtful), perhaps=(*parts.perhaps, *doubtful))
+
+
+def _by_another_law(sets: _Sets, base: Block, axis: int | None) -> float:
+    """Log evidence that another effect which is a law of torque gains in one axis only, on top of a model."""
+    rest = sets.rest
+    ground = Ground(rest.bench, base)
+    best = 0.0
+    for effect in known_effects().values():
+        if effect.family is not Alike.TORQUE_LAW or effect.id == sets.effect.id or rest.why_not(effect):
+            continue
+        shaped = [p for p in effect.parameters(rest.ready) if p.grid]
+        for values in product(*(p.grid for p in shaped)):
+            shape = {p.name: v for p, v in zip(shaped, values, strict=True)}
+            block, parameters = block_columns(rest, effect, shape)
+            length = np.linalg.norm(block.A, axis=0)
+            mine = [i for i, p in enumerate(parameters) if p.axis == axis and length[i] > SMALLEST_COLUMN]
+            if mine:
+                found = ground.posterior(block.take(mine), FACTORS)
+                best = max(best, found.log_evidence - ground.log_evidence)
+    return best
 
 
 def parts_json(parts: dict[str, Parts]) -> Json:

@@ -10,11 +10,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..identification.noise import InferredNoise
+from ..identification.validation import ESTIMATOR
 from ..model import Model, Term
 from ..typing import Array, IntArray, Json
 from .parts import Parts, parts_json
+from .settings import SETTINGS
 
 FORMAT = "irec-diagnosis/1"
+TRIAL = f"trial on top of the model and what completes its springs, in the linear problem about them: {ESTIMATOR}"
 
 
 @dataclass(frozen=True)
@@ -23,8 +27,9 @@ class Candidate:
 
     Attributes:
         effect: id; groups: the parts of it that are present, e.g. `axis 3`.
-        cv_rms_m: held-out error with it; cv_rms_se_m: its standard error over poses.
-        gain, gain_se: mean held-out loss saved per pose (squared standard deviations), and its standard error.
+        cv_rms_m: held-out error of the trial: with it, in the linear problem about the fitted model; cv_rms_se_m: its standard
+            error over poses.
+        gain, gain_se: mean held-out loss saved per pose (squared stated standard deviations), and its standard error.
         log_evidence: natural log of the odds against the model alone.
         p_value: corrected for everything that was tried.
         parameters: name -> {value, se, unit}.
@@ -52,8 +57,11 @@ class Verdict:
 
     Attributes:
         effects: what is missing, most important first.
-        depends_on: for `unexplained`: session columns or `tau_k`, strongest first.
-        size_m: RMS of what is in the residual beyond noise, m.
+        depends_on: session columns or `tau_k` that the rest depends on, strongest first.
+        size_m: RMS of what is in the residual beyond noise, m; remaining_m: of what has structure beside the named effects.
+        evidence: what shows that structure: `repeats`, `held_out_structure`, `flexible_regression`.
+        one_of: sets of effects of which one is needed, likeliest first, where they are not told apart.
+        hidden_m: how large an unnamed cause could be and not be seen, m.
         explained: share of the explainable excess that the named effects (or the best try) explain.
         confident: the first name stands alone; otherwise others explain the session as well.
         parts: of each named effect that acts in axes or directions: which of them the session proves. An axis that is not
@@ -67,6 +75,10 @@ class Verdict:
     size_m: float = 0.0
     explained: float = 0.0
     confident: bool = True
+    remaining_m: float = 0.0
+    evidence: tuple[str, ...] = ()
+    one_of: tuple[tuple[str, ...], ...] = ()
+    hidden_m: float = 0.0
     parts: dict[str, Parts] = field(default_factory=dict)
 
 
@@ -77,7 +89,7 @@ class View:
     Attributes:
         view: name of the variable or direction; value: the part of it where the residual is largest.
         rms_m: residual there; share: of the squared residual that this view accounts for; p_value: corrected for the number
-            of views.
+            of views; shows: whether it shows more than chance and more than a trifle.
     """
 
     view: str
@@ -86,6 +98,7 @@ class View:
     share: float
     p_value: float
     sentence: str
+    shows: bool = False
 
 
 @dataclass(frozen=True)
@@ -134,12 +147,19 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Everything that `irec diagnose` found."""
+    """Everything that `irec diagnose` found.
+
+    Attributes:
+        fit_rms_m, cv_rms_m: of the model as it was asked about, in the fit and on held-out poses, by ESTIMATOR.
+        cv_rms_after_m, cv_rms_se_after_m: with every effect that was added, and its standard error.
+    """
 
     session: str
     model: Model
     fit_rms_m: float
     cv_rms_m: float
+    cv_rms_after_m: float
+    cv_rms_se_after_m: float
     comparison: Comparison
     verdict: Verdict
     candidates: tuple[Candidate, ...]
@@ -148,6 +168,8 @@ class Diagnosis:
     next_measurements: tuple[Measurement, ...]
     flexible_gain_m: float = math.nan
     notes: tuple[str, ...] = ()
+    noise: InferredNoise | None = None
+    bad_rows: tuple[Json, ...] = ()
 
     def to_json(self) -> Json:
         """The content of `diagnosis.json`; no NaN."""
@@ -155,8 +177,14 @@ class Diagnosis:
         data = {
             "format": FORMAT,
             "session": self.session,
-            "model": {"effects": list(self.model.effects), "fit_rms_m": self.fit_rms_m, "cv_rms_m": self.cv_rms_m},
+            "model": {
+                "effects": list(self.model.effects),
+                "fit_rms_m": self.fit_rms_m,
+                "cv_rms_m": self.cv_rms_m,
+                "estimator": ESTIMATOR,
+            },
             "noise_floor_m": self.comparison.noise_floor_m,
+            "noise": noise_json(self.noise),
             "repeat_floor_m": self.comparison.repeat_floor_m,
             "explainable_m": self.comparison.explainable_m,
             "flexible_gain_m": self.flexible_gain_m,
@@ -168,8 +196,14 @@ class Diagnosis:
                 "size_m": v.size_m,
                 "explained": v.explained,
                 "confident": v.confident,
+                "remaining_m": v.remaining_m,
+                "evidence": list(v.evidence),
+                "one_of": [list(s) for s in v.one_of],
+                "hidden_m": v.hidden_m,
                 "parts": parts_json(v.parts),
+                "cv_rms_after_m": self.cv_rms_after_m,
             },
+            "candidates_estimator": TRIAL,
             "candidates": [
                 {
                     "effect": c.effect,
@@ -186,7 +220,15 @@ class Diagnosis:
             ],
             "skipped": self.skipped,
             "where": [
-                {"view": w.view, "value": w.value, "rms_m": w.rms_m, "share": w.share, "p_value": w.p_value, "text": w.sentence}
+                {
+                    "view": w.view,
+                    "value": w.value,
+                    "rms_m": w.rms_m,
+                    "share": w.share,
+                    "p_value": w.p_value,
+                    "shows": w.shows,
+                    "text": w.sentence,
+                }
                 for w in self.where
             ],
             "next_measurements": [
@@ -200,9 +242,27 @@ class Diagnosis:
                 }
                 for m in self.next_measurements
             ],
+            "bad_rows": list(self.bad_rows),
             "notes": list(self.notes),
+            "settings": SETTINGS.to_json(),
         }
         return finite(data)  # type: ignore[no-any-return]
+
+
+def noise_json(noise: InferredNoise | None) -> Json | None:
+    """The level of the noise for a result file."""
+    if noise is None:
+        return None
+    return {
+        "claimed_m": noise.claimed_m,
+        "inferred_m": noise.inferred_m,
+        "inferred_low_m": noise.low_m,
+        "inferred_high_m": noise.high_m,
+        "source": noise.source,
+        "dof": noise.dof,
+        "wander_share": noise.wander_share,
+        "wander_time_s": noise.wander_time_s,
+    }
 
 
 def finite(value: Any) -> Any:

@@ -9,27 +9,28 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import Cancelled, SolveError
-from ..identify import default_terms
+from ..identification.identify import default_terms
+from ..identification.provenance import model_of
+from ..identification.validation import HeldOut, gain
 from ..model import Estimate, Model, Term
-from ..provenance import model_of
 from ..session.data import Session
+from ..typing import Json
+from .assessment import Assessment, assess, p_value
+from .build import build
 from .candidates import Trial
 from .comparison import compare_observed
-from .flexible import flexible_gain
-from .held_out import HeldOut, gain, held_out
-from .judge import Judgement, cut_down, judge, p_value
+from .held_out import held_out, validated
+from .level import noise_left
 from .next_poses import next_measurements
-from .parts import parts_in, settle
+from .parts import parts_in
 from .result import Candidate, Diagnosis, Measurement
-from .search import NATS_TO_NAME, NATS_TO_SEPARATE, Hypothesis, Search, refit, search
-from .study import Study, prepare
-from .tool_weight import Readings, reference_readings
+from .shown import Shown, shown_of
+from .study import Study, completed_study, study_of
+from .tool_weight import READ_AT_REFERENCES, Readings, reference_readings
 from .where import views
-from .wording import put_in_words
+from .wording import verdict_of
 
 Progress = Callable[[float, str], None]
-TOOL_WEIGHT = "tool_weight"
-STATION_SHIFT = "station_shift"
 
 
 def start_terms(session: Session) -> tuple[Term, ...]:
@@ -65,7 +66,7 @@ def examine(
     *,
     progress: Progress | None = None,
     cancelled: Callable[[], bool] | None = None,
-) -> tuple[Diagnosis, Search, Judgement]:
+) -> tuple[Diagnosis, Assessment, Shown]:
     """As `diagnose`, with what the diagnosis rests on."""
     say = progress or (lambda share, what: None)
 
@@ -74,114 +75,138 @@ def examine(
             raise Cancelled("the diagnosis was cancelled")
 
     say(0.0, "fitting the model")
-    study = prepare(session, model.terms if model else start_terms(session))
+    first = validated(session, model.terms if model else start_terms(session))
+    asked = first.study
     check()
-    say(0.1, "trying every effect of the catalogue")
-    found = search(study, check)
-    say(0.6, "looking for structure without a name")
+    study = completed_study(asked)
+    check()
+    say(0.1, "building a model from the effects of the catalogue")
+    built = build(study, check)
+    left = noise_left(built.final.study, built.final.remainder, built.family)
+    if left is not None:
+        # what is named now was taken for noise before: weigh everything again at the noise that is left
+        say(0.4, "weighing the effects again at the noise that is left")
+        asked, study = study_of(left, asked.terms), study_of(left, study.terms)
+        built = build(study, check)
+    say(0.7, "weighing the evidence")
     readings = reference_readings(study.ready, session.noise.force_n) if session.kind == "loaded" else None
-    verdict = judge(found, readings, check)
-    say(0.75, "held-out error of each candidate")
-    candidates = _candidates(found, verdict, readings, check)
-    say(0.85, "views of the residual")
-    comparison = compare_observed(study.observation, study.terms, study.fit.rank)
-    where = views(study.observation, comparison.residual, comparison.predicted)
-    check()
-    say(0.9, "what a flexible regression could remove")
-    left = verdict.chosen.study if verdict.chosen else study
-    flexible = flexible_gain(left.observation, left.fit.residual)
+    assessment = assess(asked, built, readings, check)
+    shown = shown_of(session, first, assessment, check)
+    say(0.85, "held-out error of each candidate")
+    candidates = _candidates(assessment, readings, check)
+    say(0.9, "views of the residual")
+    whiten = study.observation.whiten
+    observation = replace(study.observation, whiten=whiten.scaled(assessment.noise.inferred_m / whiten.floor))
+    comparison = compare_observed(observation, first.study.terms, first.study.fit.rank)
+    where = views(observation, comparison.residual, comparison.predicted)
     check()
     say(0.95, "what to measure next")
-    planned = _next(found, verdict)
+    planned = _next(assessment)
     result = Diagnosis(
         session=session.name,
-        model=replace(model_of(study.fit, cv_rms=verdict.held_out_base.rms_m), history=model.history if model else ()),
-        fit_rms_m=study.fit.rms,
-        cv_rms_m=verdict.held_out_base.rms_m,
+        model=replace(model_of(first.study.fit, held_out=first.held_out), history=model.history if model else ()),
+        fit_rms_m=first.study.fit.rms,
+        cv_rms_m=first.held_out.rms_m,
+        cv_rms_after_m=shown.after.held_out.rms_m,
+        cv_rms_se_after_m=shown.after.held_out.rms_se_m,
         comparison=comparison,
-        verdict=put_in_words(study, found, verdict, candidates, comparison, flexible, planned),
+        verdict=verdict_of(assessment, shown, candidates, comparison, planned),
         candidates=candidates,
-        skipped=found.skipped,
+        skipped=built.skipped,
         where=where,
         next_measurements=planned,
-        flexible_gain_m=flexible,
+        flexible_gain_m=assessment.flexible.gain_m,
         notes=comparison.notes,
+        noise=assessment.noise,
+        bad_rows=(*_left_out(session, study), *_weighed(assessment)),
     )
     say(1.0, "done")
-    return result, found, verdict
+    return result, assessment, shown
 
 
-def _candidates(found: Search, verdict: Judgement, readings: Readings | None, check: Callable[[], None]) -> tuple[Candidate, ...]:
-    """The table of candidates, by error on held-out poses."""
-    exact = {h.ids[0]: h for h in found.singles}
-    base = verdict.held_out_base
+def _candidates(assessment: Assessment, readings: Readings | None, check: Callable[[], None]) -> tuple[Candidate, ...]:
+    """The table of candidates as the verdict ranks them: named ones first, then by evidence."""
+    built = assessment.built
+    study = built.start.study
+    exact = {e.ids[0]: e for e in built.singles}
+    base = assessment.held_out_base
     out = []
-    for trial in found.trials:
+    for trial in built.trials:
         check()
-        if trial.effect.id == TOOL_WEIGHT:
+        if trial.effect.id == READ_AT_REFERENCES.id:
             if readings is not None:
-                out.append(_weight_candidate(trial, readings, base, len(found.trials)))
+                out.append(_weight_candidate(trial, readings, base, len(built.trials)))
             continue
         known = exact.get(trial.effect.id)
-        hypothesis = known
-        if hypothesis is None and trial.log_evidence > NATS_TO_NAME:
-            hypothesis = refit(found.study, found.study, trial)
-        if hypothesis is not None:
-            hypothesis = _needed_parts_only(hypothesis, verdict)
-        term = hypothesis.added[0] if hypothesis else _term_of(trial, found.study)
-        after = held_out(hypothesis.study) if hypothesis else held_out(found.study, trial.best.block)
-        evidence = known.log_evidence if known else trial.log_evidence
+        added = {t.effect.id: t for t in assessment.study.terms if t.effect.id in assessment.added}
+        term = added.get(trial.effect.id) or (known.added[0] if known else _term_of(trial, study))
+        after = held_out(known.study) if known else held_out(study, trial.best.block)
+        alone = known.named if known else built.evidence.get(trial.effect.id, trial.log_evidence)  # on top of the model as it is
         mean, se, _ = gain(base, after)
         out.append(
             Candidate(
-                trial.effect.id, parts_in(term, found.study), term, after.rms_m, after.rms_se_m, mean, se, evidence,
-                p_value(trial, found.study, len(found.trials)), _plausible(trial, term, found.study),
+                trial.effect.id, parts_in(term, study), term, after.rms_m, after.rms_se_m, mean, se, alone,
+                p_value(trial, len(built.trials)), _plausible(trial, term, study),
                 {n: {"value": e.value, "se": e.se, "unit": e.unit} for n, e in term.estimates.items()},
             )
         )  # fmt: skip
-    blind = _blind_to_held_out_poses(verdict)
-    out.sort(key=lambda c: (c.effect not in blind, not np.isfinite(c.cv_rms_m), c.cv_rms_m, -c.log_evidence))
-    return tuple(replace(c, confusable_with=_confusable(c, out)) for c in out)
+    order = _ranking(assessment)
+    out.sort(key=lambda c: (order.get(c.effect, len(order)), -c.log_evidence))
+    return tuple(replace(c, confusable_with=_confusable(c, assessment, out)) for c in out)
 
 
-def _blind_to_held_out_poses(verdict: Judgement) -> set[str]:
-    """Named effects whose evidence is elsewhere than in the error on held-out poses: they lead the table."""
-    out = {STATION_SHIFT} & set(verdict.chosen.ids if verdict.chosen else ())
-    weight = verdict.readings is not None and verdict.readings.log_evidence > NATS_TO_NAME
-    return out | ({TOOL_WEIGHT} if weight else set())
+def _left_out(session: Session, study: Study) -> list[Json]:
+    """Rows that were found to be wrong before any model was compared, one entry each."""
+    return [
+        _bad_row(session, r, b.kind, b.size_m, b.action, b.sentence)
+        for b in study.observation.bad
+        if b.kind != "tail"
+        for r in b.rows
+    ]
 
 
-def _confusable(one: Candidate, all_of_them: Sequence[Candidate]) -> tuple[str, ...]:
-    if one.log_evidence < NATS_TO_SEPARATE:
-        return ()
-    near = [c for c in all_of_them if c is not one and abs(c.log_evidence - one.log_evidence) < NATS_TO_SEPARATE]
-    return tuple(c.effect if len(c.groups) != 1 else f"{c.effect}:{c.groups[0]}" for c in near)
+def _weighed(assessment: Assessment) -> list[Json]:
+    """Rows that stand out beside model and remainder and count for nothing in the verdict, one entry each."""
+    session = assessment.study.session
+    return [
+        _bad_row(session, r, "stands out", float("nan"), "counts for nothing in the verdict", p.structure.words)
+        for p in assessment.remainder.bad_rows
+        for r in p.structure.rows
+    ]
+
+
+def _bad_row(session: Session, row: int, kind: str, size_m: float, action: str, text: str) -> Json:
+    return {
+        "pose": int(session.pose[row]), "load_case": session.case_name(int(session.load_case[row])),
+        "repeat": int(session.repeat[row]), "kind": kind, "size_m": size_m, "action": action, "text": text,
+    }  # fmt: skip
+
+
+def _ranking(assessment: Assessment) -> dict[str, int]:
+    """Place of each effect that the verdict speaks of."""
+    weight = (READ_AT_REFERENCES.id,) if assessment.weight_wrong else ()
+    first = [*assessment.names, *weight, *(i for s in assessment.one_of for i in s)]
+    near = sorted(assessment.built.singles, key=lambda e: -e.log_evidence)
+    ids = [*first, *(e.ids[0] for e in near)]
+    return {i: n for n, i in enumerate(dict.fromkeys(ids))}
+
+
+def _confusable(one: Candidate, assessment: Assessment, all_of_them: Sequence[Candidate]) -> tuple[str, ...]:
+    """Effects that would do in the place of an added one."""
+    rivals = [i for i, _ in assessment.built.rivals.get(one.effect, ())]
+    rivals += [i for s in assessment.one_of if one.effect in s for i in s if i != one.effect]
+    parts = {c.effect: c.groups for c in all_of_them}
+    return tuple(f"{i}:{parts[i][0]}" if len(parts.get(i, ())) == 1 else i for i in dict.fromkeys(rivals))
 
 
 def _weight_candidate(trial: Trial, readings: Readings, base: HeldOut, tried: int) -> Candidate:
     unit = {"value": readings.mass, "se": readings.mass_se, "unit": "kg"}
     term = Term(trial.effect, {"dm": Estimate(readings.mass, readings.mass_se, "kg", -500.0, 500.0)})
     p = float(min(1.0, tried * np.exp(-max(readings.log_evidence, 0.0))))
+    plausible = abs(readings.mass) < 100.0
     return Candidate(
-        TOOL_WEIGHT,
-        (),
-        term,
-        base.rms_m,
-        base.rms_se_m,
-        0.0,
-        0.0,
-        readings.log_evidence,
-        p,
-        abs(readings.mass) < 100.0,
-        {"dm": unit},
+        READ_AT_REFERENCES.id, (), term, base.rms_m, base.rms_se_m, 0.0, 0.0, readings.log_evidence, p, plausible, {"dm": unit}
     )
-
-
-def _needed_parts_only(hypothesis: Hypothesis, verdict: Judgement) -> Hypothesis:
-    """A single effect on top of the model with the parts that it needs there."""
-    if verdict.parts and verdict.chosen is not None and verdict.chosen.ids == hypothesis.ids:
-        return verdict.chosen
-    return cut_down(hypothesis, settle(hypothesis.study, hypothesis.ids))
 
 
 def _term_of(trial: Trial, study: Study) -> Term:
@@ -190,7 +215,7 @@ def _term_of(trial: Trial, study: Study) -> Term:
     columns = study.base + v.block
     H = columns.A.T @ columns.A + np.diag(1.0 / columns.width**2)
     sd = np.sqrt(np.linalg.inv(H).diagonal()[-p:]) * v.scale
-    values = trial.posterior.x[-p:] * v.scale
+    values = trial.posterior.x * v.scale
     known = {n: (float(x), float(s)) for n, x, s in zip(v.names, values, sd, strict=True)}
     estimates = {}
     for q in v.effect.parameters(study.ready):
@@ -210,21 +235,26 @@ def _plausible(trial: Trial, term: Term, study: Study) -> bool:
     return True
 
 
-def _next(found: Search, verdict: Judgement) -> tuple[Measurement, ...]:
+def _next(assessment: Assessment) -> tuple[Measurement, ...]:
     """Samples that tell the best explanation from its strongest rival."""
-    one: Hypothesis | None = verdict.chosen or (found.singles[0] if found.singles else None)
-    if one is None:
-        return ()
-    others = [*verdict.rivals, *(h for h in found.singles if h.ids != one.ids)]
-    session = found.study.session
+    built, session = assessment.built, assessment.study.session
     planned: list[Measurement] = []
-    if verdict.other is not None:
-        planned += _apart(session, one.study.terms, *verdict.other)
-    if verdict.rivals or not planned:
-        other = others[0].study.terms if others else found.study.terms
-        name = "+".join(others[0].ids) if others else "the model without it"
-        planned = [*_apart(session, one.study.terms, other, ("+".join(one.ids), name)), *planned]
-    return tuple(planned)
+    exact = {e.ids[0]: e for e in built.singles}
+    if assessment.other is not None:
+        planned += _apart(session, assessment.study.terms, *assessment.other)
+    for one, rivals in built.rivals.items():
+        rival = exact.get(rivals[0][0])
+        mine = exact.get(one)
+        if rival is not None and mine is not None:
+            planned = [*_apart(session, mine.study.terms, rival.study.terms, (one, rivals[0][0])), *planned]
+    if planned or not built.singles:
+        return tuple(planned)
+    one_study = assessment.study if assessment.added else built.singles[0].study
+    name = "+".join(assessment.added or built.singles[0].ids)
+    other = next((e for e in built.singles if e.ids[0] not in (assessment.added or built.singles[0].ids)), None)
+    terms = other.study.terms if other else built.start.study.terms
+    label = other.ids[0] if other else "the model without it"
+    return _apart(session, one_study.terms, terms, (name, label))
 
 
 def _apart(session: Session, a: Sequence[Term], b: Sequence[Term], names: tuple[str, str]) -> tuple[Measurement, ...]:

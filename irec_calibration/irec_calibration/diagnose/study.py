@@ -5,20 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import log
 
 import numpy as np
 
-from ..absolute import completed, thinned
-from ..effects import Effect, Parameter, absent
-from ..identify import Fit, fit, observe_with_force_noise
+from ..effects import Effect, Parameter, absent, known_effects
+from ..effects.scene import Scene
+from ..identification.absolute import completed, thinned
+from ..identification.identify import Fit, fit, observe_with_force_noise
+from ..identification.observe import Observation
+from ..identification.system import linearise
 from ..model import Term, apply_wrench_effects, elastic_response
-from ..observe import Observation
-from ..scene import Scene
 from ..session.data import Session
-from ..system import linearise
 from ..typing import Array
-from .evidence import Bench, Block
-from .priors import choices, prior_width
+from .evidence import Bench, Block, NoisePrior
+from .priors import FACTORS, choices
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,11 @@ class Study:
     @property
     def terms(self) -> tuple[Term, ...]:
         return self.fit.terms
+
+    @property
+    def true_chi2(self) -> float:
+        """Squared residual of the fit in standard deviations, without any linearisation."""
+        return float((self.observation.whiten(self.fit.residual) ** 2).sum())
 
     def columns(self, displacement: Array) -> Array:
         """Whitened equations of displacements per session row: (n, 3, p) -> (3m, p)."""
@@ -89,7 +95,24 @@ def prepare(session: Session, terms: Sequence[Term]) -> Study:
     Raises:
         SolveError: the session can't be used with this model.
     """
-    return study_of(thinned(observe_with_force_noise(session, terms)), terms)
+    from .level import with_inferred_level
+
+    return with_inferred_level(thinned(observe_with_force_noise(session, terms)), terms)
+
+
+def completed_study(study: Study) -> Study:
+    """The same with the effects that complete the form of those it has (`Effect.completes`), each where it can show."""
+    present = {t.effect.id for t in study.terms}
+    more = [e for e in known_effects().values() if e.completes in present and e.id not in present and not study.why_not(e)]
+    return study_of(study.observation, (*study.terms, *(Term(e) for e in more))) if more else study
+
+
+def form_evidence(asked: Study, completed: Study) -> float:
+    """Log evidence for what completes the form of a model's springs; the widths that were tried are taken off."""
+    if len(asked.terms) == len(completed.terms):
+        return 0.0
+    plain, whole = (s.bench.posterior(s.base).log_evidence for s in (asked, completed))
+    return float(whole - plain - log(len(FACTORS)))
 
 
 def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
@@ -98,9 +121,10 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     width = _widths(terms, scene)
     system = linearise(fit(terms, observation, prior_width=width).terms, observation)
     owners = [terms[i].effect.id for i in system.owner]
-    bench = Bench(system.b, system.pose.astype(np.int64))
+    believed = NoisePrior(scale=1.0 / observation.whiten.level)
+    bench = Bench(system.b, system.pose.astype(np.int64), believed)
     block = Block(system.A, system.lower, system.upper, width)
-    for rows in choices(owners):
+    for rows in choices([terms[i].effect for i in system.owner]):
         widths = block.width * rows
         block = replace(block, width=widths[int(np.argmax(bench.evidence_over_widths(block, widths)))])
     width = block.width
@@ -115,7 +139,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
         tuple(owners),
         tuple(system.parameters),
         system.scale,
-        Bench(system.b, system.pose.astype(np.int64)),
+        Bench(system.b, system.pose.astype(np.int64), believed),
     )
 
 
@@ -124,5 +148,5 @@ def _widths(terms: Sequence[Term], scene: Scene) -> Array:
     out = []
     for term in terms:
         own = term.effect.parameters(scene)
-        out += [prior_width(term.effect.id, own[i], scene.n_joints) for i in term.free(own)]
+        out += [own[i].prior_width for i in term.free(own)]
     return np.array(out)

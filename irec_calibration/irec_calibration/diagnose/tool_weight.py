@@ -11,10 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene import Scene
+from ..effects import CATALOGUE, Evidence
+from ..effects.scene import Scene
+from ..identification.validation import rms
 from ..typing import Array
 from .evidence import Bench, Block, Posterior
 
+READ_AT_REFERENCES = next(e() for e in CATALOGUE if e.evidence is Evidence.REFERENCE_READINGS)
 MASS_WIDTH = 5.0  # kg
 BIAS_WIDTH = 20.0  # N
 FEWEST_REFERENCES = 3
@@ -58,11 +61,11 @@ def reference_readings(scene: Scene, force_noise: float) -> Readings | None:
     dm = float(with_mass.x[-1] * MASS_WIDTH)
     spread = max(with_mass.chi2 / len(bench.b), 1.0)
     se = float(np.sqrt(spread) * force_noise / np.linalg.norm(weight))
-    rms = float(np.sqrt((force**2).sum(axis=1).mean()))
+    left = rms(force)
     after = float(np.sqrt(with_mass.chi2 / len(rows)) * force_noise)
     b = by_bias.x * BIAS_WIDTH
     return Readings(
-        dm, se, with_mass.log_evidence - max(by_bias.log_evidence, nothing), rms, after,
+        dm, se, with_mass.log_evidence - max(by_bias.log_evidence, nothing), left, after,
         (float(b[0]), float(b[1]), float(b[2])), by_bias.log_evidence - nothing,
     )  # fmt: skip
 

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..observe import Observation
+from ..identification.observe import Observation
+from ..identification.validation import rms
+from ..lengths import length
 from ..typing import Array
 from .result import View
 
@@ -65,20 +67,20 @@ def views(observation: Observation, residual: Array, predicted: Array) -> tuple[
         share = max(0.0, (share - by_noise) / (1.0 - by_noise))
         out.append(_view(side, residual, share, corrected))
     out.append(_worst_pose(observation, residual))
-    return tuple(sorted(out, key=lambda v: (v.p_value > SIGNIFICANT or v.share < SMALLEST_SHARE, -v.share)))
+    return tuple(sorted(out, key=lambda v: (not v.shows, -v.share)))
 
 
 def _view(side: _Side, residual: Array, share: float, p: float) -> View:
-    squared = (residual**2).sum(axis=1)
     labels = np.array(side.labels)
-    rms = {str(x): float(np.sqrt(squared[labels == x].mean())) for x in dict.fromkeys(side.labels)}
-    worst = max(rms, key=lambda k: rms[k])
-    where = f", most at {worst} ({1e6 * rms[worst]:.0f} um)" if len(rms) > 1 else ""
-    if p > SIGNIFICANT or share < SMALLEST_SHARE:
+    left = {str(x): rms(residual[labels == x]) for x in dict.fromkeys(side.labels)}
+    worst = max(left, key=lambda k: left[k])
+    where = f", most at {worst} ({length(left[worst])})" if len(left) > 1 else ""
+    shows = p <= SIGNIFICANT and share >= SMALLEST_SHARE
+    if not shows:
         sentence = f"No sign that the residual {side.words}."
     else:
         sentence = f"{100 * share:.0f} % of the squared residual {side.words}{where}."
-    return View(side.name, worst, rms[worst], share, p, sentence)
+    return View(side.name, worst, left[worst], share, p, sentence, shows)
 
 
 def _worst_pose(observation: Observation, residual: Array) -> View:
@@ -86,14 +88,14 @@ def _worst_pose(observation: Observation, residual: Array) -> View:
     sums = {int(p): float(squared[observation.pose == p].sum()) for p in observation.poses}
     worst = max(sums, key=lambda k: sums[k])
     share = sums[worst] / max(sum(sums.values()), 1e-300)
-    rms = float(np.sqrt(squared[observation.pose == worst].mean()))
+    left = rms(residual[observation.pose == worst])
     typical = float(np.sqrt(np.median([s / (observation.pose == p).sum() for p, s in sums.items()])))
-    stands_out = len(sums) >= FEWEST_POSES and rms > 3.0 * max(typical, observation.whiten.floor)
+    stands_out = len(sums) >= FEWEST_POSES and left > 3.0 * max(typical, observation.whiten.floor)
     sentence = (
         f"Pose {worst} has {100 * share:.0f} % of the squared residual "
-        f"({1e6 * rms:.0f} um, the typical pose {1e6 * typical:.0f} um)."
+        f"({length(left)}, the typical pose {length(typical)})."
     )
-    return View("pose", str(worst), rms, share, 0.0 if stands_out else 1.0, sentence)
+    return View("pose", str(worst), left, share, 0.0 if stands_out else 1.0, sentence, stands_out)
 
 
 def _sides(observation: Observation, predicted: Array) -> list[_Side]:
@@ -103,7 +105,7 @@ def _sides(observation: Observation, predicted: Array) -> list[_Side]:
     tool = scene.kin.R_tool[rows]
     commanded = observation.of(scene.p_observed) if scene.kind == "loaded" else scene.p_observed[rows]
     J = scene.J[rows]
-    tau, gravity = scene.tau[rows], scene.tau_gravity[rows]
+    tau, gravity = scene.load_torque()[rows], scene.tau_gravity[rows] * (scene.kind == "loaded")
     all_rows = ["all"] * m
     cases = [session.case_name(int(j)) for j in scene.load_case[rows]]
     out = [

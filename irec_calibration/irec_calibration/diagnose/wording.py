@@ -7,71 +7,77 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..absolute import REPEATS
 from ..effects import find_effect
-from .judge import Judgement
+from ..identification.noise import InferredNoise
+from ..lengths import length
+from .assessment import Assessment
+from .build import implausible
 from .parts import Parts
 from .result import Candidate, Comparison, Measurement, Verdict
-from .search import NATS_TO_NAME, Search
-from .study import Study
+from .shown import Shown
+from .tool_weight import READ_AT_REFERENCES
 
 FEW_POSES = 5
 SETS_SHOWN = 3  # sets of axes in a sentence
 REPEATS_AT_MOST = 20  # that anybody would take of one sample
 SIGMAS_TO_TELL = 3.0  # standard deviations by which samples must differ to tell two explanations apart
+ROWS_SHOWN = 4
+REPEATS_TO_TELL = 4  # poses that are measured twice to learn the noise
+
+SHOWN_BY = {
+    "repeats": "repeats of the same sample agree better than that",
+    "held_out_structure": "a smooth function of these variables lowers the error on held-out poses",
+    "flexible_regression": "a flexible regression lowers the error on held-out poses",
+}
 
 
-def um(metres: float) -> str:
-    """A length in um for a sentence."""
-    return f"{1e6 * metres:.1f} um" if np.isfinite(metres) else "unknown"
-
-
-def put_in_words(
-    study: Study,
-    found: Search,
-    verdict: Judgement,
+def verdict_of(
+    assessment: Assessment,
+    shown: Shown,
     candidates: Sequence[Candidate],
     comparison: Comparison,
-    flexible: float,
     planned: Sequence[Measurement],
 ) -> Verdict:
     """The verdict with its text."""
+    study = assessment.built.start.study
     poses = len(study.bench.poses)
-    weight = verdict.readings is not None and verdict.readings.log_evidence > NATS_TO_NAME
-    ids = list(verdict.chosen.ids) if verdict.chosen and verdict.status == "missing_effect" else []
-    if weight and verdict.status != "unexplained":
-        ids.append("tool_weight")
-    rivals = ["+".join(h.ids) for h in verdict.rivals]
-    opening = (
-        f"The model leaves {um(comparison.rms_m)} ({um(verdict.held_out_base.rms_m)} on held-out poses);"
-        f" the instruments' noise explains {um(comparison.noise_floor_m)}."
-    )
-    parts = [opening]
-    if verdict.status == "adequate":
-        parts.append("No effect and no structure without a name is significant: the residual is what the noise explains.")
-    elif verdict.status == "missing_effect":
-        parts += _missing(verdict, candidates, ids)
-    else:
-        parts += _unexplained(verdict)
-    if verdict.status != "adequate":
-        parts += [f"{n[0].upper()}{n[1:]}." for n in study.session.notes if n.startswith(REPEATS)]
-    if weight and verdict.readings is not None:
-        parts.append(
-            f"The force sensor reads {verdict.readings.rms_before:.1f} N where nothing touches the tool, turning with the flange:"
-            f" a tool mass wrong by {verdict.readings.mass:.2f} +- {verdict.readings.mass_se:.2f} kg in the weight removal."
-        )
-    if rivals and verdict.status == "missing_effect":
-        parts.append(f"On this session it can't be told from {', '.join(rivals)}.")
-        if planned:
-            m = planned[0]
-            at = f"pose {m.pose}" if m.pose else "a new pose (see next_measurements)"
-            parts.append(f"Measuring load case {m.load_case} at {at} would part them by {um(m.difference_m)}.")
-    if verdict.status == "missing_effect":
-        parts += _apart(verdict, planned)
-    if np.isfinite(flexible) and verdict.status != "adequate" and flexible > 0.0:
-        parts.append(f"A flexible regression could remove another {um(flexible)} at most on held-out poses.")
+    weight = assessment.weight_wrong
+    ids = [*assessment.names, *([READ_AT_REFERENCES.id] if weight else ())]
+    rivals = {i: tuple(r for r, _ in assessment.built.rivals.get(i, ())) for i in assessment.names}
+    parts = [
+        f"The model leaves {length(comparison.rms_m)} ({length(shown.asked.held_out.rms_m)} on held-out poses);"
+        f" noise explains {length(assessment.noise.inferred_m)}."
+    ]
     if not np.any(np.abs(study.base.A) > 1e-6):
-        parts.insert(1, "Nothing in this session loads the model: it can't identify anything.")
+        parts.append("Nothing in this session loads the model: it can't identify anything.")
+    if assessment.status == "missing_effect" and assessment.names:
+        parts += _missing(assessment, shown, candidates)
+    if assessment.status == "adequate":
+        parts.append("Nothing shows any other cause than noise.")
+    parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
+    parts += _rest(assessment)
+    parts += _form(shown)
+    parts += _noise(assessment.noise)
+    parts += _bad_rows(assessment)
+    if assessment.status == "adequate":
+        parts += _could_hide(assessment)
+    else:
+        repeating = study.observation.repeating
+        parts += [f"{repeating[0].upper()}{repeating[1:]}."] if repeating else []
+    if weight and assessment.readings is not None:
+        parts.append(
+            f"The force sensor reads {assessment.readings.rms_before:.1f} N where nothing touches the tool, turning with the"
+            f" flange: a tool mass wrong by {assessment.readings.mass:.2f} +- {assessment.readings.mass_se:.2f} kg"
+            " in the weight removal."
+        )
+    for one, others in rivals.items():
+        if others:
+            parts.append(f"On this session {_label(one)} can't be told for sure from {', '.join(map(_label, others))}.")
+    if planned and (assessment.one_of or any(rivals.values())):
+        m = planned[0]
+        parts.append(f"Measuring load case {m.load_case} at {_at(m)} would part them by {length(m.difference_m)}.")
+    if assessment.status == "missing_effect":
+        parts += _apart(assessment, planned)
     if poses < FEW_POSES or study.fit.dof < study.fit.rank:
         cases = len(np.unique(study.session.load_case[study.observation.rows]))
         parts.append(
@@ -79,30 +85,113 @@ def put_in_words(
             f" {study.fit.dof} equations to spare: too little to find a missing effect. Measure more poses."
         )
     return Verdict(
-        status=verdict.status,
+        status=assessment.status,
         text=" ".join(parts),
         effects=tuple(ids),
-        depends_on=verdict.depends_on if verdict.status == "unexplained" else (),
-        size_m=verdict.size_m,
-        explained=verdict.explained,
-        confident=not rivals,
-        parts=verdict.parts if verdict.status == "missing_effect" else {},
+        depends_on=assessment.depends_on,
+        size_m=_size(assessment, shown),
+        explained=assessment.explained,
+        confident=not any(rivals.values()),
+        remaining_m=assessment.remaining_m,
+        evidence=assessment.evidence,
+        one_of=assessment.one_of,
+        hidden_m=assessment.hidden_m,
+        parts={i: p for i, p in assessment.parts.items() if i in assessment.names},
     )
 
 
-def _missing(verdict: Judgement, candidates: Sequence[Candidate], ids: Sequence[str]) -> list[str]:
+def _size(assessment: Assessment, shown: Shown) -> float:
+    """RMS of what is in the residual beyond noise, m."""
+    if assessment.status == "adequate":
+        return 0.0
+    rms = shown.asked.study.fit.rms
+    return float(max(np.sqrt(max(rms**2 - assessment.noise.inferred_m**2, 0.0)), assessment.remaining_m))
+
+
+def _label(effect_id: str) -> str:
+    return find_effect(effect_id).label
+
+
+def _at(m: Measurement) -> str:
+    return f"pose {m.pose}" if m.pose else "a new pose (see next_measurements)"
+
+
+def _noise(noise: InferredNoise) -> list[str]:
+    """How the noise differs from what is stated, and whether it wanders; empty where neither is so."""
+    wanders = []
+    if noise.wander_share > 0.0:
+        wanders = [f"{100 * noise.wander_share:.0f} % of its variance wander within some {noise.wander_time_s:.0f} s."]
+    if not noise.differs or noise.source == "claim":
+        return [f"Of the noise, {wanders[0]}"] if wanders else []
+    times = max(noise.ratio, 1.0 / max(noise.ratio, 1e-9))
+    where = {"repeats": "repeats show", "residual": "the residual shows"}.get(noise.source, "repeats and residual show")
+    small = "small" if noise.ratio > 1.0 else "large"
+    return [
+        f"The noise stated in session.yaml, {length(noise.claimed_m)}, is {times:.1f} times too {small}:"
+        f" {where} {length(noise.inferred_m)} ({length(noise.low_m)} to {length(noise.high_m)}).",
+        *wanders,
+    ]
+
+
+def _form(shown: Shown) -> list[str]:
+    """What completes the form of the model's springs, where the session shows it: no cause, but a better model."""
+    if shown.completed is None:
+        return []
+    before, after = shown.asked.held_out.rms_m, shown.completed.held_out.rms_m
+    labels = " and ".join(find_effect(i).label for i in shown.form)
+    return [f"The springs' {labels} matters too: with it the error on held-out poses is {length(after)} for {length(before)}."]
+
+
+def _bad_rows(assessment: Assessment) -> list[str]:
+    """Rows that stand out from all others; they count for nothing in the assessment."""
+    left_out = [b.sentence for b in assessment.asked.observation.bad if b.is_left_out]
+    beside = [p.structure.words for p in assessment.remainder.bad_rows]
     out = []
-    if verdict.chosen is not None and verdict.held_out_chosen is not None:
-        best = next((c for c in candidates if c.effect == verdict.chosen.ids[0]), None)
-        labels = " and ".join(find_effect(i).label + _in_brackets(verdict.parts.get(i)) for i in verdict.chosen.ids)
+    for begin, bad in (("Left out as plainly wrong", left_out), ("Readings that stand out and count for nothing here", beside)):
+        if bad:
+            more = f" and {len(bad) - ROWS_SHOWN} more" if len(bad) > ROWS_SHOWN else ""
+            out.append(f"{begin}: {'; '.join(bad[:ROWS_SHOWN])}{more}.")
+    return out
+
+
+def _could_hide(assessment: Assessment) -> list[str]:
+    out = [f"A cause without structure of up to {length(assessment.hidden_m)} could hide in it."]
+    if "repeats" not in assessment.noise.source:
         out.append(
-            f"Missing: {labels}. Added, the error on held-out poses falls from {um(verdict.held_out_base.rms_m)} to"
-            f" {um(verdict.held_out_chosen.rms_m)}; it explains {100 * verdict.explained:.0f} % of what noise does not."
+            f"A few repeats would tell: {REPEATS_TO_TELL} poses that are far from each other, all load cases measured twice, each"
+            " with its own reference."
         )
-        if best is not None and not best.plausible:
-            out.append("Its value lies outside what is physically likely: check it before using it.")
-        for i in verdict.chosen.ids:
-            out += _parts_in_words(find_effect(i).label, verdict.parts.get(i))
+    return out
+
+
+def _rest(assessment: Assessment) -> list[str]:
+    """What has structure and no name."""
+    if not assessment.evidence:
+        return []
+    more = "A further" if assessment.names else "The residual has"
+    about = f"{length(assessment.remaining_m)}"
+    has = f"{more} {about} {'has' if assessment.names else 'of'} structure that no effect of the catalogue explains"
+    out = [f"{has}: {'; '.join(SHOWN_BY[e] for e in assessment.evidence)}."]
+    if assessment.depends_on:
+        out.append(f"It depends on {', '.join(assessment.depends_on)}.")
+    closest = assessment.built.closest
+    if closest is not None and closest.ids and assessment.reason:
+        out.append(f"The closest try, {_label(closest.ids[-1])}, is not named as a cause: {assessment.reason}.")
+    return out
+
+
+def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidate]) -> list[str]:
+    labels = " and ".join(_label(i) + _in_brackets(assessment.parts.get(i)) for i in assessment.names)
+    out = [
+        f"Missing: {labels}. Added, the error on held-out poses falls from {length(shown.asked.held_out.rms_m)} to"
+        f" {length(shown.after.held_out.rms_m)}."
+    ]
+    for i in assessment.names:
+        one = next((c for c in candidates if c.effect == i), None)
+        if one is not None and not one.plausible:
+            why = implausible(assessment.built.final, i)
+            out.append(f"Check {_label(i)} before using it{': ' + why if why else ''}.")
+        out += _parts_in_words(_label(i), assessment.parts.get(i))
     return out
 
 
@@ -128,28 +217,14 @@ def _parts_in_words(label: str, parts: Parts | None) -> list[str]:
     return out
 
 
-def _apart(verdict: Judgement, planned: Sequence[Measurement]) -> list[str]:
+def _apart(assessment: Assessment, planned: Sequence[Measurement]) -> list[str]:
     """Which sample would tell the sets of axes apart."""
-    m = next((m for m in planned if verdict.other is not None and m.separates == verdict.other[1]), None)
+    m = next((m for m in planned if assessment.other is not None and m.separates == assessment.other[1]), None)
     if m is None:
         return []
-    at = f"pose {m.pose}" if m.pose else "a new pose (see next_measurements)"
     repeats = int(np.ceil(0.5 * SIGMAS_TO_TELL**2 / max(m.gain, 1e-9)))
     if repeats > REPEATS_AT_MOST:
         return ["No load case at these poses or near them would tell these axes apart."]
     often = f", so take at least {repeats} repeats" if repeats > 1 else ""
-    sample = f"Measuring load case {m.load_case} at {at}"
-    return [f"{sample} would tell these axes apart: they differ there by {um(m.difference_m)}{often}."]
-
-
-def _unexplained(verdict: Judgement) -> list[str]:
-    out = [f"There is structure of about {um(verdict.size_m)} in the residual that no effect of the catalogue explains."]
-    if verdict.depends_on:
-        out.append(f"It depends on {', '.join(verdict.depends_on)}.")
-    if verdict.chosen is not None:
-        tried = " and ".join(find_effect(i).label for i in verdict.chosen.ids)
-        out.append(
-            f"The closest try, {tried}, removes {100 * verdict.explained:.0f} % of it ({verdict.reason}) and is not named "
-            "as the cause."
-        )
-    return out
+    sample = f"Measuring load case {m.load_case} at {_at(m)}"
+    return [f"{sample} would tell these axes apart: they differ there by {length(m.difference_m)}{often}."]

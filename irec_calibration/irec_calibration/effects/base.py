@@ -13,12 +13,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from ..scene import Scene
-from ..typing import Array
+from ..session.data import Session
+from ..typing import Array, Json
+from .live import ByDisplacement, LeftOut, LiveForm, Refused
+from .scene import Scene
+from .traits import Cause, Evidence, Family
+
+NOT_IN_PRODUCTION = ("time", "order", "step", "temperature")  # needs that a live correction can't meet in general
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,9 @@ class Parameter:
         group: parameters that may be present on their own, e.g. `axis 3`; empty: only together with the others.
         grid: for a parameter that enters nonlinearly: values over which it is profiled. Empty: linear.
         flat: only the session says anything about it (no prior, and a fit starts from its present value).
+        width: standard deviation of the prior about 0, in multiples of `scale`.
+        axis: joint that the parameter belongs to, counted from 0; None: to none.
+        first: where a session can't determine all parameters of the effect, those with `first` are chosen before the others.
     """
 
     name: str
@@ -47,10 +55,25 @@ class Parameter:
     group: str = ""
     grid: tuple[float, ...] = ()
     flat: bool = False
+    width: float = 1.0
+    axis: int | None = None
+    first: bool = False
+
+    @property
+    def prior_width(self) -> float:
+        """Standard deviation of the prior about 0, in multiples of `scale`; infinite where there is none."""
+        return np.inf if self.flat else self.width
 
     @property
     def plausible_range(self) -> tuple[float, float]:
         return self.plausible if self.plausible is not None else (self.lower, self.upper)
+
+
+WHY_LEFT_OUT = {
+    Cause.STATE: "does not depend on the process force",
+    Cause.TIME: "passes with time whatever the process force",
+    Cause.MEASUREMENT: "is seen by the measuring instrument only and moves no tool",
+}
 
 
 class Effect(ABC):
@@ -62,22 +85,36 @@ class Effect(ABC):
         physics: one paragraph: what it is, how it looks when it is missing.
         acts_on: `arm` (moves the physical TCP: part of predictions), `wrench` (changes the force that the model is evaluated
             at) or `instrument` (only the measurement sees it: left out of predictions).
-        in_prediction: whether predictions of the TCP include it. Sensor errors do not move the tool.
+        cause: what its displacement comes from; decides about predictions and the live correction.
         elastic: a spring of the structure: part of the elastic response that other effects refer to.
         needs_elastic: reads `scene.elastic`.
         needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`.
         registers: places instruments of an absolute session; belongs to the session, not to the robot.
+        evidence: where a session shows it.
+        family: effects that pass for each other; None: not known (effects of users).
+        everywhere: every robot has it, only its size is not known: the level of its prior is set by the session, and no part is
+            taken out for want of evidence.
+        completes: id of an effect that every robot has and whose form it completes: never named as a cause, but weighed beside it
+            in every diagnosis, so that what it does passes for no other.
+        obsolete: patterns of parameter names that models of an earlier form had; such a model is refused, not misread.
+        chosen_by_poses: in an absolute session it gets, without values, those parameters that the poses determine.
     """
 
     id: ClassVar[str]
     label: ClassVar[str]
     physics: ClassVar[str]
-    acts_on: ClassVar[str] = "arm"
-    in_prediction: ClassVar[bool] = True
+    acts_on: ClassVar[Literal["arm", "wrench", "instrument"]] = "arm"
+    cause: ClassVar[Cause] = Cause.LOAD
     elastic: ClassVar[bool] = False
     needs_elastic: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ()
     registers: ClassVar[bool] = False
+    evidence: ClassVar[Evidence] = Evidence.DISPLACEMENTS
+    family: ClassVar[Family | None] = None
+    everywhere: ClassVar[bool] = False
+    completes: ClassVar[str] = ""
+    chosen_by_poses: ClassVar[bool] = False
+    obsolete: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
@@ -99,9 +136,46 @@ class Effect(ABC):
             out[:, :, i] = (self.displacement(scene, ahead) - self.displacement(scene, behind)) / (ahead[i] - behind[i])
         return out
 
+    def by_elastic(self, scene: Scene, theta: Array, columns: Array) -> Array | None:
+        """What the displacement changes by where the elastic displacement of the scene changes by columns, (n, 3, p), or None.
+
+        Needed of effects that follow the elastic response with a large share, so that a joint fit with its springs converges.
+        """
+        return None
+
+    def log_odds(self, scene: Scene) -> float:
+        """How much more likely (less: negative) the effect is than others before a session is seen, natural log."""
+        return 0.0
+
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
         """For `acts_on = wrench`: the force and torque in tool0 that really act, (n, 3) each, N and N m."""
         raise NotImplementedError(f"{self.id} does not act on the wrench")
+
+    def placed(self, session: Session, values: dict[str, float]) -> Json:
+        """For `registers`: where the values put the session's instruments, for the model's provenance."""
+        return {}
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        """What this effect is in the live correction (effects/live.py); its own `displacement` where it gives nothing faster.
+
+        Args:
+            scene: rows of the robot in production, from which `parameters` come.
+            theta: values of `parameters(scene)`, (p,).
+        """
+        return ByDisplacement()
+
+    def no_live_form(self) -> LeftOut | Refused | None:
+        """Why this effect has no part in a live correction, whatever the robot; None where it may have one."""
+        if self.cause is not Cause.LOAD:
+            return LeftOut(WHY_LEFT_OUT[self.cause])
+        if type(self).live is not Effect.live:
+            return None
+        missing = [n for n in NOT_IN_PRODUCTION if n in self.needs]
+        if missing:
+            return Refused(f"needs {', '.join(missing)}, which a correction does not have as a session does")
+        if self.acts_on == "wrench":
+            return Refused("changes the wrench and gives no real-time form of it (a SensorMap)")
+        return None
 
 
 def absent(scene: Scene, needs: tuple[str, ...]) -> str:

@@ -5,20 +5,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .live import LiveForm, Springs
+from .scene import Scene
+from .traits import Family
 
 AXES = ("x", "y", "z")
 
 
 def base_spring_regressor(scene: Scene) -> Array:
     """Displacement per unit of each spring compliance, (n, 3, 6): x, y, z [m/N], then rotations [rad/(N m)]."""
-    f = scene.force
-    moment = np.cross(scene.p_tcp, f) + scene.torque
-    if scene.kind == "absolute":
-        weight, weight_moment = scene.gravity_wrench_at_base
-        f, moment = f + weight, moment + weight_moment
+    f, moment = scene.load_wrench_at_base()
     out = np.zeros((len(scene), 3, 6))
     for a in range(3):
         out[:, a, a] = f[:, a]
@@ -36,6 +34,7 @@ class BaseCompliance(Effect):
         "residual is constant in the base frame and grows with reach. Rotation about the base z axis is the same as "
         "torsion of axis 1."
     )
+    family = Family.SPRING
     elastic = True
     needs = ("load",)
 
@@ -46,3 +45,7 @@ class BaseCompliance(Effect):
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         return base_spring_regressor(scene)
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        columns = [f"base_{p.name}" for p in self.parameters(scene)]
+        return Springs(tuple((c, c, float(v)) for c, v in zip(columns, theta, strict=True)))

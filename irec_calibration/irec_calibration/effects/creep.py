@@ -3,11 +3,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ..scene import Scene
-from ..typing import Array
+from ..typing import Array, IntArray
 from .base import Effect, Parameter
+from .live import ElasticLaw, LiveForm, Tick
+from .scene import Scene
+from .traits import Family
+
+SAME_LOAD = 0.05  # without memory the clock starts anew where the elastic deflection changes by more than this share of itself
+APART = 5.0  # factor between three time constants where `spread` is 1
 
 
 class Creep(Effect):
@@ -16,8 +23,10 @@ class Creep(Effect):
     physics = (
         "Gears, tool or rubber go on yielding under a load that stays: a share of the elastic deflection times 1 - "
         "exp(-t/T), t since the load was applied; with memory 1 what was reached under the load before is kept "
-        "(Kelvin-Voigt). Missing, the residual grows with the dwell under load."
+        "(Kelvin-Voigt), with 0 another load begins anew. With spread 0 there is one time constant T, else three about it "
+        "(generalised Kelvin-Voigt). Missing, the residual grows with the dwell under load."
     )
+    family = Family.TIME
     needs = ("time", "load")
     needs_elastic = True
 
@@ -26,26 +35,93 @@ class Creep(Effect):
             Parameter("share", "1", 0.1, lower=0.0, plausible=(0.0, 1.0)),
             Parameter("T", "s", 10.0, 0.05, 1e5, start=10.0, grid=(1.0, 4.0, 15.0, 60.0)),
             Parameter("memory", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0)),
+            Parameter("spread", "1", 1.0, 0.0, 2.0, start=0.0, grid=(0.0, 1.0)),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        return theta[0] * self._shape(scene, theta[1], theta[2])
+        return theta[0] * self._shape(scene, *theta[1:])
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        share, T, memory = theta
+        share, T, memory, spread = theta
         h = 0.01 * T
-        by_T = share * (self._shape(scene, T + h, memory) - self._shape(scene, T - h, memory)) / (2 * h)
-        return np.stack([self._shape(scene, T, memory), by_T, np.zeros((len(scene), 3))], axis=2)
+        by_T = share * (self._shape(scene, T + h, memory, spread) - self._shape(scene, T - h, memory, spread)) / (2 * h)
+        none = np.zeros((len(scene), 3))
+        return np.stack([self._shape(scene, T, memory, spread), by_T, none, none], axis=2)
 
-    def _shape(self, scene: Scene, T: float, memory: float) -> Array:
+    def _shape(self, scene: Scene, T: float, memory: float, spread: float) -> Array:
+        """What has crept per unit of share, (n, 3), m."""
         if scene.elastic is None:
             return np.zeros((len(scene), 3))
-        u = scene.elastic.displacement
-        reached = 1.0 - np.exp(-np.maximum(scene.stamp - scene.load_since, 0.0) / T)
-        crept = u * reached[:, None]
+        return self._crept(scene, scene.elastic.displacement, T, memory, spread)
+
+    def by_elastic(self, scene: Scene, theta: Array, columns: Array) -> Array:
+        return np.asarray(theta[0] * self._crept(scene, columns, *theta[1:]))
+
+    def _crept(self, scene: Scene, v: Array, T: float, memory: float, spread: float) -> Array:
+        """What has crept of displacements v, (n, 3[, p]), under loads that have the elastic response of the scene."""
+        return np.mean([self._by_one(scene, v, t, memory) for t in time_constants(T, spread)], axis=0)
+
+    def _by_one(self, scene: Scene, v: Array, T: float, memory: float) -> Array:
+        order = np.lexsort((scene.load_case, scene.stamp))
+        along = (-1, *[1] * (v.ndim - 1))
         if memory >= 0.5:
-            for i in np.lexsort((scene.load_case, scene.stamp)):
-                before = scene.previous[i]
-                if before >= 0:
-                    crept[i] = crept[before] + (u[i] - crept[before]) * reached[i]
-        return crept
+            reached = (1.0 - np.exp(-np.maximum(scene.stamp - scene.load_since, 0.0) / T)).reshape(along)
+            crept = v * reached
+            for rows in _one_after_the_other(scene.previous, order):
+                before = crept[scene.previous[rows]]
+                crept[rows] = before + (v[rows] - before) * reached[rows]
+            return crept
+        assert scene.elastic is not None
+        u = scene.elastic.displacement
+        since, applied = np.array(scene.load_since), u.copy()
+        for i in order:
+            before = scene.previous[i]
+            if before >= 0 and not _changed(u[i], applied[before]):
+                since[i], applied[i] = since[before], applied[before]
+        return np.asarray(v * (1.0 - np.exp(-np.maximum(scene.stamp - since, 0.0) / T)).reshape(along))
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        return _Creep(*theta)
+
+
+def _one_after_the_other(previous: IntArray, order: IntArray) -> list[IntArray]:
+    """Rows that have one before them, as many at once as do not wait for each other."""
+    depth = np.zeros(len(previous), dtype=np.int64)
+    for i in order:
+        if previous[i] >= 0:
+            depth[i] = depth[previous[i]] + 1
+    by_depth = np.argsort(depth, kind="stable")
+    return np.split(by_depth, np.flatnonzero(np.diff(depth[by_depth])) + 1)[1:]
+
+
+def _changed(u: Array, applied: Array) -> bool:
+    """Whether the load is another one than that from which the clock runs."""
+    difference = u - applied
+    limit = SAME_LOAD**2 * max(float(u @ u), float(applied @ applied))
+    return float(difference @ difference) > limit
+
+
+def time_constants(T: float, spread: float) -> list[float]:
+    """s; one, or three of equal weight."""
+    return [T] if spread <= 0.0 else [T * APART ** (spread * e) for e in (-1.0, 0.0, 1.0)]
+
+
+class _Creep(ElasticLaw):
+    def __init__(self, share: float, T: float, memory: float, spread: float) -> None:
+        self._share, self._T, self._remembers = float(share), time_constants(float(T), spread), memory >= 0.5
+        self.reset()
+
+    def reset(self) -> None:
+        self._crept = [np.zeros(1)] * len(self._T)
+        self._applied, self._age = np.zeros(3), 0.0
+
+    def displacement(self, tick: Tick, elastic: Array, tcp: Array) -> Array:
+        weight = self._share / len(self._T)
+        if self._remembers:
+            self._crept = [c + (1.0 - math.exp(-tick.dt / T)) * (elastic - c) for c, T in zip(self._crept, self._T, strict=True)]
+            return weight * np.sum(self._crept, axis=0)
+        if _changed(tcp, self._applied):
+            self._applied, self._age = tcp, 0.0
+        self._age += tick.dt
+        out: Array = weight * sum(1.0 - math.exp(-self._age / T) for T in self._T) * elastic
+        return out

@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
+from .scene import Scene
+from .traits import Cause, Family
+
+LARGEST = 1.5e-3  # rad; ten times the transmission error of sound gears (0.5 arcmin), beyond any eccentric disc that still counts
 
 
 class EncoderHarmonics(Effect):
@@ -18,16 +21,23 @@ class EncoderHarmonics(Effect):
         "also with 2 q_k. Missing, the residual is periodic in one joint angle and blind to load; in a loaded session it "
         "all but cancels."
     )
+    family = Family.ANGLE_ERROR
+    cause = Cause.STATE
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         # in a loaded session only errors far above those of a sound encoder can show
         size = 1e-3 if scene.kind == "loaded" else 1e-4
+        limit = 1e-2 if scene.kind == "loaded" else LARGEST
         return tuple(
-            Parameter(f"{t}{m}_{k + 1}", "rad", size, plausible=(-1e-2, 1e-2), group=f"axis {k + 1}")
+            Parameter(f"{t}{m}_{k + 1}", "rad", size, plausible=(-limit, limit), group=f"axis {k + 1}", axis=int(k))
             for k in np.flatnonzero(self._turning(scene))
             for m in (1, 2)
             for t in ("a", "b")
         )
+
+    def log_odds(self, scene: Scene) -> float:
+        # only an encoder far out of order shows in differences at one pose; geometry is then the likelier cause
+        return -4.0 if scene.kind == "loaded" else 0.0
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         waves = np.stack([f(m * scene.q) for m in (1, 2) for f in (np.sin, np.cos)], axis=2)

@@ -3,13 +3,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .live import LiveForm, Pull, Tick
+from .scales import typical_reach
+from .scene import Scene
+from .traits import Family
 
 AXES = ("x", "y", "z")
+FOREARM = ("along", "a", "b")  # along the axis of the joint that moves the forearm, and along its two virtual axes
+AT_FLANGE = 0.15  # m from the TCP; about where a head carries its hoses
+WRIST_AXES = 3
 
 
 class ExternalForce(Effect):
@@ -17,30 +25,75 @@ class ExternalForce(Effect):
     label = "unmeasured external force"
     physics = (
         "Dress pack, hoses and cables pull at the tool with a force that the sensor does not see and that is not the same "
-        "at the reference and under load: J C J^T f_0, constant in base_link or turning with a wrist axis. Missing, the "
-        "residual is there whatever the process force and depends on the pose only. A force that stays the same cancels."
+        "at the reference and under load: J C J^T f_0. Parts of the family: constant in base_link or in tool0; drawn towards a "
+        "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); constant in the frame of the "
+        "forearm, where the hose is fixed there; turning with a wrist axis; and a torque, since it does not pull at the TCP. "
+        "Missing, the residual is there whatever the process force and depends on the pose only. A force that stays the same "
+        "cancels."
     )
+    family = Family.SENSOR
     needs_elastic = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        out = [Parameter(f"f_{a}", "N", 20.0, plausible=(-1000.0, 1000.0), group="constant") for a in AXES]
-        for k in self._wrist(scene):
-            out += [
-                Parameter(f"f_{a}_{t}{k + 1}", "N", 20.0, plausible=(-1000.0, 1000.0), group=f"with axis {k + 1}")
-                for t in ("sin", "cos")
-                for a in AXES
-            ]
-        return tuple(out)
+        def pull(name: str, group: str) -> Parameter:
+            return Parameter(name, "N", 20.0, plausible=(-1000.0, 1000.0), group=group)
 
-    def _wrist(self, scene: Scene) -> list[int]:
-        return [k for k in range(scene.n_joints) if scene.driven[k]][-3:]
+        stiffness = Parameter("k", "N/m", 20.0 / typical_reach(scene), 0.0, plausible=(0.0, 2000.0), group="towards a point")
+        largest = 1000.0 * AT_FLANGE
+        return (
+            *(pull(f"f_{a}", "constant") for a in AXES),
+            *(pull(f"f_{a}_tool", "with the tool") for a in AXES),
+            stiffness,
+            *(pull(f"f_{a}_{t}{k + 1}", f"with axis {k + 1}") for k in _wrist(scene) for t in ("sin", "cos") for a in AXES),
+            *(pull(f"f_{d}_forearm", "with the forearm") for d in FOREARM),
+            *(
+                Parameter(f"m_{a}_tool", "N m", 20.0 * AT_FLANGE, plausible=(-largest, largest), group="beside the TCP")
+                for a in AXES
+            ),
+        )
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.elastic is None:
             return np.zeros((len(scene), 3, len(self.parameters(scene))))
-        by_force_in_base = np.einsum("nij,nkj->nik", scene.elastic.compliance[:, :, :3], scene.kin.R_tool)
-        loaded = by_force_in_base * ((scene.load_case > 0) | (scene.kind == "absolute"))[:, None, None]
-        blocks = [loaded]
-        for k in self._wrist(scene):
-            blocks += [loaded * t(scene.q[:, k])[:, None, None] for t in (np.sin, np.cos)]
-        return np.concatenate(blocks, axis=2)
+        by_force = scene.elastic.compliance * scene.rows.under_load[:, None, None]
+        in_tool, by_torque = by_force[:, :, :3], by_force[:, :, 3:]
+        in_base = np.einsum("nij,nkj->nik", in_tool, scene.kin.R_tool)
+        towards = -np.einsum("nij,nj->ni", in_base, scene.p_tcp)[:, :, None]
+        by_wrist = [in_base * t(scene.q[:, k])[:, None, None] for k in _wrist(scene) for t in (np.sin, np.cos)]
+        k = _forearm(scene)
+        frame = np.concatenate([scene.kin.axis[:, k, None], scene.kin.virtual_axis[:, k]], axis=1)
+        with_forearm = np.einsum("nij,ndj->nid", in_base, frame)
+        return np.concatenate([in_base, in_tool, towards, *by_wrist, with_forearm, by_torque], axis=2)
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        return _Pull(theta, _wrist(scene), _forearm(scene))
+
+
+def _wrist(scene: Scene) -> list[int]:
+    return [k for k in range(scene.n_joints) if scene.driven[k]][-WRIST_AXES:]
+
+
+def _forearm(scene: Scene) -> int:
+    """The joint that moves the forearm, the last one before the wrist."""
+    return max(_wrist(scene)[0] - 1, 0)
+
+
+class _Pull(Pull):
+    def __init__(self, theta: Array, wrist: list[int], forearm: int) -> None:
+        self._constant, self._in_tool, self._k = theta[:3], theta[3:6], float(theta[6])
+        end = 7 + 6 * len(wrist)
+        self._by_wrist, self._wrist = theta[7:end].reshape(-1, 3), wrist
+        self._by_forearm, self._torque_in_tool = theta[end : end + 3], theta[end + 3 :]
+        if self._by_forearm.any():
+            self.columns = tuple(f"joint_{forearm + 1}{side}" for side in ("", "a", "b"))
+
+    def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
+        weights = [w for k in self._wrist for w in (math.sin(tick.q[k]), math.cos(tick.q[k]))]
+        out: Array = self._constant + R_tool @ self._in_tool - self._k * p_tcp + np.array(weights) @ self._by_wrist
+        if self.columns:
+            out += tick.directions @ self._by_forearm
+        return out
+
+    def torque(self, tick: Tick, R_tool: Array) -> Array:
+        out: Array = R_tool @ self._torque_in_tool
+        return out

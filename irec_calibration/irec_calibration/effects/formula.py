@@ -16,9 +16,10 @@ from collections.abc import Callable
 import numpy as np
 
 from ..errors import EffectError
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .scene import Scene
+from .traits import Cause
 
 VARIABLES: dict[str, str] = {
     "tau": "torque of the process about the target axis, N m (axis K only)",
@@ -43,12 +44,15 @@ FUNCTIONS: dict[str, Callable[..., Array]] = {
 }  # fmt: skip
 CONSTANTS = {"pi": np.pi}
 TWO_ARGUMENTS = ("min", "max")
+LOAD_VARIABLE = r"tau(_\d+)?|[fb]_[xyz]"
+NEEDS = {"load": LOAD_VARIABLE, "time": "t|dwell", "step": r"step(_\d+)?", "temperature": r"temp_\w+", "ext": r"ext_\w+"}
 OPERATORS: dict[type[ast.AST], Callable[..., Array]] = {
     ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power,
     ast.USub: np.negative, ast.UAdd: np.positive,
 }  # fmt: skip
 TYPICAL_DISPLACEMENT = 1e-4  # m; a parameter of scale 1 moves the marker by about this much
 LONGEST_FORMULA = 500
+DEEPEST = 100  # operations inside one another
 LARGEST_EXPONENT = 12
 
 
@@ -67,6 +71,8 @@ class FormulaEffect(Effect):
         self.id = effect_id  # type: ignore[misc]
         self.formula = formula
         self.label = formula  # type: ignore[misc]
+        if len(formula) > LONGEST_FORMULA:
+            raise EffectError(f"formula of {len(formula)} characters; at most {LONGEST_FORMULA} are read")
         target, colon, expression = formula.partition(":")
         found = re.fullmatch(r"\s*(?:axis\s+(\d+)|(tool|base)\s+([xyz]))\s*", target)
         if not colon or found is None:
@@ -74,20 +80,24 @@ class FormulaEffect(Effect):
                 f"formula '{formula}': it must begin with 'axis K:', 'tool x:' (y, z) or 'base x:' (y, z), as in 'axis 3: "
                 "c * tau**3'"
             )
-        if len(formula) > LONGEST_FORMULA:
-            raise EffectError(f"formula of {len(formula)} characters; at most {LONGEST_FORMULA} are read")
         self._axis = int(found[1]) - 1 if found[1] else None
         self._frame, self._direction = found[2], "xyz".find(found[3] or "x")
         try:
             self._tree = ast.parse(expression.strip(), mode="eval").body
-        except (SyntaxError, RecursionError, MemoryError) as error:
-            raise EffectError(f"formula '{formula}': not an expression: {error}") from error
+        except (SyntaxError, RecursionError, MemoryError, ValueError) as error:
+            raise EffectError(f"formula {formula!r}: not an expression: {error}") from error
+        if _deeper_than(DEEPEST, self._tree):
+            raise EffectError(f"formula '{formula}': more than {DEEPEST} operations inside one another")
         self._check(self._tree)
         names = {n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)}
         called = {n.func.id for n in ast.walk(self._tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
         self._names = tuple(sorted(n for n in names - called if not _is_variable(n) and n not in CONSTANTS))
         if not self._names:
             raise EffectError(f"formula '{formula}': no parameter in it; give at least one name to be identified, such as c")
+        read = {n for n in names - called if _is_variable(n)}
+        self.needs = tuple(need for need, pattern in NEEDS.items() if any(re.fullmatch(pattern, n) for n in read))  # type: ignore[misc]
+        if not any(re.fullmatch(LOAD_VARIABLE, n) for n in read):
+            self.cause = Cause.TIME if {"time", "temperature"} & set(self.needs) else Cause.STATE  # type: ignore[misc]
 
     def _check(self, node: ast.AST) -> None:
         allowed = (ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Constant)
@@ -95,6 +105,8 @@ class FormulaEffect(Effect):
             raise EffectError(f"formula '{self.formula}': '{ast.unparse(node)}' is not allowed; use + - * / ** and functions")
         if isinstance(node, ast.Constant) and (isinstance(node.value, bool) or not isinstance(node.value, (int, float))):
             raise EffectError(f"formula '{self.formula}': {node.value!r} is not a number")
+        if isinstance(node, ast.Name) and node.id in FUNCTIONS:
+            raise EffectError(f"formula '{self.formula}': '{node.id}' is a function and needs its arguments: {node.id}(...)")
         if isinstance(node, (ast.BinOp, ast.UnaryOp)):
             if type(node.op) not in OPERATORS:
                 raise EffectError(f"formula '{self.formula}': operator in '{ast.unparse(node)}' is not allowed; use + - * / **")
@@ -125,7 +137,8 @@ class FormulaEffect(Effect):
             angle = self._evaluate({**variables, **ones, name: 1.0}) - self._evaluate({**variables, **ones, name: 0.0})
             moved = np.linalg.norm(self._along(scene) * np.broadcast_to(angle, len(scene))[:, None], axis=1)
             size = float(np.sqrt(np.mean(np.nan_to_num(moved, posinf=0.0) ** 2)))
-            out.append(Parameter(name, "by formula", TYPICAL_DISPLACEMENT / size if size > 0.0 else 1.0))
+            scale = TYPICAL_DISPLACEMENT / size if size > 0.0 else 1.0
+            out.append(Parameter(name, "by formula", scale, axis=self._axis))
         return tuple(out)
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
@@ -180,6 +193,16 @@ class FormulaEffect(Effect):
 
         with np.errstate(all="ignore"):
             return walk(self._tree)
+
+
+def _deeper_than(limit: int, tree: ast.AST) -> bool:
+    """Whether an expression has more levels; without recursion, since it is asked before any."""
+    level = [tree]
+    for _ in range(limit):
+        level = [c for node in level for c in ast.iter_child_nodes(node) if isinstance(c, ast.expr)]
+        if not level:
+            return False
+    return True
 
 
 def _is_variable(name: str) -> bool:

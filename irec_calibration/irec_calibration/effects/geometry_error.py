@@ -6,10 +6,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .scene import Scene
 from .station_pose import left_jacobian
+from .traits import Cause, Family
 
 
 class GeometryError(Effect):
@@ -21,6 +22,9 @@ class GeometryError(Effect):
         "forward kinematics in absolute sessions, their derivative in loaded ones, where it shows in proportion to the "
         "commanded displacement only."
     )
+    family = Family.ANGLE_ERROR
+    chosen_by_poses = True
+    cause = Cause.STATE
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         out = []
@@ -30,12 +34,18 @@ class GeometryError(Effect):
             group = f"axis {k + 1}"
             slides = bool(scene.kin.is_prismatic[k])
             unit = "m" if slides else "rad"
-            out.append(Parameter(f"zero_{k + 1}", unit, 1e-3, low, high, plausible=(-0.1, 0.1), group=group, flat=base))
+            out.append(
+                Parameter(
+                    f"zero_{k + 1}", unit, 1e-3, low, high, plausible=(-0.1, 0.1), group=group, flat=base, axis=k, first=True
+                )
+            )
             for a in "xyz":
-                out.append(Parameter(f"{a}_{k + 1}", "m", 1e-3, low, high, plausible=(-0.05, 0.05), group=group, flat=base))
+                out.append(
+                    Parameter(f"{a}_{k + 1}", "m", 1e-3, low, high, plausible=(-0.05, 0.05), group=group, flat=base, axis=k)
+                )
             for v in "ab":
                 name = f"tilt_{k + 1}{v}"
-                out.append(Parameter(name, "rad", 1e-3, low, high, plausible=(-0.05, 0.05), group=group, flat=base))
+                out.append(Parameter(name, "rad", 1e-3, low, high, plausible=(-0.05, 0.05), group=group, flat=base, axis=k))
         return tuple(out)
 
     def displacement(self, scene: Scene, theta: Array) -> Array:

@@ -5,12 +5,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .live import ColumnLaw, LiveForm, Tick, drives
 from .scales import rated_torque
+from .scene import Scene
+from .traits import Family
 
-UNDEFINED_SHARE_OF_RATED = 1e-3  # below this share of the rated torque the side on which the gear lies is not defined
+AT_ONCE = 1e-3  # share of the rated torque below which the side on which the gear lies is not defined
+TAKEN_UP_OVER = (AT_ONCE, 0.004, 0.015)
+# Gear makers read lost motion at +-3 % of the rated torque. What is soft over a wider range is a spring: joint_stiffening.
+WIDEST = 0.03
 
 
 class JointBacklash(Effect):
@@ -18,17 +23,44 @@ class JointBacklash(Effect):
     label = "joint backlash"
     physics = (
         "Gear play: the joint moves by a fixed angle b_k when its total torque (process and gravity) changes sign: J_k b_k "
-        "sign/2. Missing, the residual jumps by the same angle whatever the load. An axis whose total torque never changes "
-        "sign shows nothing."
+        "tanh(tau / w)/2, w the range of torque over which tooth by tooth the play is taken up. Missing, the residual jumps by "
+        "the same angle whatever the load. An axis whose total torque never changes sign shows nothing."
     )
+    family = Family.TORQUE_LAW
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        return tuple(
-            Parameter(f"b_{k + 1}", "rad", 1e-4, lower=0.0, plausible=(0.0, 3e-3), group=f"axis {k + 1}")
+        axes = tuple(
+            Parameter(f"b_{k + 1}", "rad", 1e-4, lower=0.0, plausible=(0.0, 3e-3), group=f"axis {k + 1}", axis=int(k))
             for k in np.flatnonzero(scene.driven)
         )
+        return (*axes, Parameter("w", "share of rated torque", AT_ONCE, 1e-4, WIDEST, start=AT_ONCE, grid=TAKEN_UP_OVER))
+
+    def displacement(self, scene: Scene, theta: Array) -> Array:
+        return self._columns(scene, theta[-1]) @ theta[:-1]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        soft = UNDEFINED_SHARE_OF_RATED * rated_torque(scene.robot)
-        side = 0.5 * np.tanh((scene.tau + scene.tau_gravity) / soft)
+        h = 1e-3 * theta[-1]
+        by_range = (self._columns(scene, theta[-1] + h) - self._columns(scene, theta[-1] - h)) @ theta[:-1] / (2 * h)
+        return np.concatenate([self._columns(scene, theta[-1]), by_range[:, :, None]], axis=2)
+
+    def _columns(self, scene: Scene, share: float) -> Array:
+        side = 0.5 * np.tanh((scene.tau + scene.tau_gravity) / (share * rated_torque(scene.robot)))
         return (scene.J * side[:, None, :])[:, :, scene.driven]
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        return _Backlash(scene, theta)
+
+
+class _Backlash(ColumnLaw):
+    needs_gravity = True
+
+    def __init__(self, scene: Scene, theta: Array) -> None:
+        self.columns = drives(scene.n_joints)
+        self._half = np.zeros(scene.n_joints)
+        self._half[scene.driven] = 0.5 * theta[:-1]
+        self._soft = theta[-1] * rated_torque(scene.robot)
+
+    def displacement(self, tick: Tick, tau: Array) -> Array:
+        preload = tick.tau_gravity
+        out: Array = self._half * (np.tanh((tau + preload) / self._soft) - np.tanh(preload / self._soft))
+        return out

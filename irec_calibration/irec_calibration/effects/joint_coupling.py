@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .live import LiveForm, Springs
 from .scales import typical_compliance
+from .scene import Scene
+from .traits import Family
 
 
 class JointCoupling(Effect):
@@ -19,6 +21,7 @@ class JointCoupling(Effect):
         "tau_l for each pair of the last three axes. Missing, the torque of one wrist axis shows in the direction of "
         "another."
     )
+    family = Family.SPRING
     elastic = True
 
     def pairs(self, scene: Scene) -> list[tuple[int, int]]:
@@ -39,3 +42,7 @@ class JointCoupling(Effect):
         tau = scene.load_torque()
         columns = [scene.J[:, :, a] * tau[:, None, b] for k, j in self.pairs(scene) for a, b in ((k, j), (j, k))]
         return np.stack(columns, axis=2) if columns else np.zeros((len(scene), 3, 0))
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        pairs = [pair for k, j in self.pairs(scene) for pair in ((k, j), (j, k))]
+        return Springs(tuple((f"joint_{a + 1}", f"joint_{b + 1}", float(v)) for (a, b), v in zip(pairs, theta, strict=True)))

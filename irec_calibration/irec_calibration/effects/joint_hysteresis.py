@@ -5,12 +5,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
-from .scales import rated_torque, typical_compliance
+from .live import ColumnLaw, LeftOut, LiveForm, Tick, drives
+from .scales import largest_lag, rated_torque, typical_compliance
+from .scene import Scene
+from .traits import Family
 
-FRACTIONS_OF_RATED = (0.01, 0.03, 0.08, 0.2)
+FRACTIONS_OF_RATED = (0.012, 0.03, 0.075)
+APART = 4.0  # factor between the thresholds of the sliders
+FREED = (0.0, 50.0, 250.0)
+SHAPE = 3  # parameters that enter nonlinearly, the last ones
+SLIDERS = ("h", "early", "late")  # of each axis, with thresholds r, r / APART, r APART
 
 
 class JointHysteresis(Effect):
@@ -18,51 +24,119 @@ class JointHysteresis(Effect):
     label = "joint hysteresis"
     physics = (
         "Dry friction inside the gear holds back a part of the wind-up, up to a threshold of torque, until the torque "
-        "turns: -J_k h_k stop(tau_k) (Prandtl-Ishlinskii, history within a pose from the relaxed reference on). Missing, "
+        "turns: -J_k sum_i h_ki stop_i(tau_k) (Prandtl-Ishlinskii, history within a pose from the relaxed reference on). Up to "
+        "three sliders per axis, with thresholds r / 4, r and 4 r, since teeth and seals give way one after the other; "
+        "motion of the joint frees what is held, by 1/e per 1 / freed. Missing, "
         "the same load reached from different sides disagrees; repeats reveal it. In absolute sessions the sign of the "
         "last step decides."
     )
+    family = Family.TORQUE_LAW
     needs = ("order",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         if scene.kind == "absolute":
+            limit = largest_lag(scene)
             return tuple(
-                Parameter(f"h_{k + 1}", "rad", 1e-4, plausible=(-3e-3, 3e-3), group=f"axis {k + 1}")
+                Parameter(
+                    f"lag_{k + 1}", "rad", limit[k] / 30.0, plausible=(-limit[k], limit[k]), group=f"axis {k + 1}", axis=int(k)
+                )
                 for k in np.flatnonzero(scene.driven)
             )
         scale = typical_compliance(scene.robot)
         axes = tuple(
             Parameter(
-                f"h_{k + 1}", "rad/(N m)", 0.3 * scale[k], plausible=(-20.0 * scale[k], 20.0 * scale[k]), group=f"axis {k + 1}"
+                f"{name}_{k + 1}", "rad/(N m)", 0.3 * scale[k], plausible=(-20.0 * scale[k], 20.0 * scale[k]),
+                group=f"axis {k + 1}", axis=int(k),
             )
+            for name in SLIDERS
             for k in np.flatnonzero(scene.driven)
+        )  # fmt: skip
+        return (
+            *axes,
+            Parameter("r", "share of rated torque", 0.03, 0.001, 1.0, start=0.03, grid=FRACTIONS_OF_RATED),
+            # models of before have three sliders of equal weight in the place of h where it is above 0
+            Parameter("spread", "1", 1.0, 0.0, 2.0, start=0.0, grid=(0.0,)),
+            Parameter("freed", "1/rad", 100.0, 0.0, 1e4, start=0.0, grid=FREED),
         )
-        return (*axes, Parameter("r", "share of rated torque", 0.03, 0.001, 1.0, start=0.03, grid=FRACTIONS_OF_RATED))
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         if scene.kind == "absolute":
             return self._by_last_step(scene) @ theta
-        return self._columns(scene, theta[-1]) @ theta[:-1]
+        return self._columns(scene, *theta[-SHAPE:]) @ theta[:-SHAPE]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.kind == "absolute":
             return self._by_last_step(scene)
-        h = 1e-4
-        columns = self._columns(scene, theta[-1])
-        by_threshold = (self._columns(scene, theta[-1] + h) - self._columns(scene, theta[-1] - h)) @ theta[:-1] / (2 * h)
-        return np.concatenate([columns, by_threshold[:, :, None]], axis=2)
+        h, shape = theta[:-SHAPE], theta[-SHAPE:]
+        columns = self._columns(scene, *shape)
+        by_shape = np.zeros((len(scene), 3, SHAPE))
+        for i, step in ((0, 1e-4), (2, 1e-2)) if np.any(h) else ():  # spread is never moved
+            ahead, behind = shape.copy(), shape.copy()
+            ahead[i] += step
+            behind[i] -= step
+            change = (self._columns(scene, *ahead) - self._columns(scene, *behind)) @ h
+            by_shape[:, :, i] = change / (2.0 * step)
+        return np.concatenate([columns, by_shape], axis=2)
 
     def _by_last_step(self, scene: Scene) -> Array:
         resolved = np.where(np.abs(scene.step) > 1e-4, np.sign(scene.step), 0.0)
         return (0.5 * scene.J * resolved[:, None, :])[:, :, scene.driven]
 
-    def _columns(self, scene: Scene, fraction: float) -> Array:
-        """Displacement per unit of h_k: minus the part of the torque that friction holds (the stop operator)."""
-        r = fraction * rated_torque(scene.robot)
-        played = np.zeros_like(scene.tau)
+    def _columns(self, scene: Scene, fraction: float, spread: float, freed: float) -> Array:
+        """Displacement per unit of each slider: minus the part of the torque that it holds (the stop operator)."""
+        r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
+        played = np.zeros((len(scene), len(r), scene.n_joints))
         for i in np.lexsort((scene.load_case, scene.stamp)):
             before = scene.previous[i]
             # relaxed at the reference: the operator starts in the middle of its band, at zero process torque
-            last = played[before] if before >= 0 else np.zeros(scene.n_joints)
+            last = released(played[before], scene.tau[before], freed * scene.step[i]) if before >= 0 else 0.0
             played[i] = np.clip(last, scene.tau[i] - r, scene.tau[i] + r)
-        return (scene.J * (played - scene.tau)[:, None, :])[:, :, scene.driven]
+        held = by_slider(played - scene.tau[:, None, :], 1)
+        return np.concatenate([(scene.J * held[:, None, i])[:, :, scene.driven] for i in range(len(SLIDERS))], axis=2)
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        if not theta[:-SHAPE].any():
+            return LeftOut("has no value for process forces, only for the last step of an absolute session")
+        return _Friction(scene, theta)
+
+
+class _Friction(ColumnLaw):
+    def __init__(self, scene: Scene, theta: Array) -> None:
+        self.columns = drives(scene.n_joints)
+        self._h = np.zeros((len(SLIDERS), scene.n_joints))
+        self._h[:, scene.driven] = theta[:-SHAPE].reshape(len(SLIDERS), -1)
+        fraction, spread, self._freed = (float(v) for v in theta[-SHAPE:])
+        self._r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
+        self.reset()
+
+    def reset(self) -> None:
+        self._played = np.zeros_like(self._r)
+        self._q: Array | None = None
+        self._tau = np.zeros(self._r.shape[1])
+
+    def displacement(self, tick: Tick, tau: Array) -> Array:
+        if self._freed > 0.0:
+            if self._q is not None:
+                self._played = released(self._played, self._tau, self._freed * (tick.q - self._q))
+            self._q, self._tau = tick.q.copy(), tau.copy()
+        self._played = np.clip(self._played, tau - self._r, tau + self._r)
+        out: Array = (self._h * by_slider(self._played - tau, 0)).sum(axis=0)
+        return out
+
+
+def thresholds(fraction: float, spread: float) -> tuple[Array, Array, Array]:
+    """Thresholds as shares of the rated torque of `h` (one, or three about it where spread is above 0), `early`, `late`."""
+    middle = np.array([[fraction]]) if spread <= 0.0 else fraction * APART ** (spread * np.array([[-1.0], [0.0], [1.0]]))
+    return middle, np.array([[fraction / APART]]), np.array([[fraction * APART]])
+
+
+def released(played: Array, tau: Array, moved: Array) -> Array:
+    """Play operators after a motion that frees what friction holds by 1/e per unit, at the torque before the motion."""
+    out: Array = tau + np.exp(-np.abs(moved)) * (played - tau)
+    return out
+
+
+def by_slider(held: Array, axis: int) -> Array:
+    """Mean over those that make up `h`, then `early`, `late`."""
+    parts = np.split(held, [held.shape[axis] - 2], axis=axis)
+    return np.concatenate([parts[0].mean(axis=axis, keepdims=True), parts[1]], axis=axis)

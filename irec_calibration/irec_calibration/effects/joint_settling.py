@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .scene import Scene
+from .traits import Cause, Family
 
 
 class JointSettling(Effect):
@@ -19,12 +20,16 @@ class JointSettling(Effect):
         "reference of a loaded session was read too early as well, after the travel from the pose before. Missing, the "
         "residual is proportional to the step just made, not to its sign: it imitates backlash."
     )
+    family = Family.ANGLE_ERROR
+    cause = Cause.STATE
     needs = ("step",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         loaded = scene.kind == "loaded"
         axes = tuple(
-            Parameter(f"a_{k + 1}", "1", 1e-2 if loaded else 1e-4, -1.0, 1.0, plausible=(-0.5, 0.5), group=f"axis {k + 1}")
+            Parameter(
+                f"a_{k + 1}", "1", 1e-2 if loaded else 1e-4, -1.0, 1.0, plausible=(-0.5, 0.5), group=f"axis {k + 1}", axis=int(k)
+            )
             for k in np.flatnonzero(scene.driven)
         )
         return (*axes, Parameter("travel", "0 or 1", 1.0, 0.0, 1.0, start=1.0, grid=(0.0, 1.0))) if loaded else axes

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .live import ColumnLaw, LiveForm, Tick, drives
 from .scales import rated_torque, typical_compliance
+from .scene import Scene
+from .traits import Family
 
 FRACTIONS_OF_RATED = (0.05, 0.15, 0.4, 1.5)
 
@@ -18,36 +20,68 @@ class JointStiffening(Effect):
     label = "joint stiffening"
     physics = (
         "A gear is soft at small torque and stiffens as more teeth carry: extra deflection J_k [g(tau_k + tau_g,k) - "
-        "g(tau_g,k)] with g(x) = a_k (x - x_0 tanh(x / x_0)): cubic below x_0, a piecewise line above it; a < 0 stiffens. "
-        "Missing, the residual is odd and nonlinear in the torque of one axis, shifted by its gravity preload."
+        "g(tau_g,k)] with g(x) = a_k (x - x_0 s(x / x_0)), a_k <= 0: cubic below x_0, above it a piecewise line (s = tanh) or, "
+        "with slow 1, a stiffness that goes on growing (s = asinh). The compliance never rises with the torque. Missing, the "
+        "residual is odd and nonlinear in the torque of one axis, shifted by its gravity preload."
     )
+    family = Family.TORQUE_LAW
     needs = ("load",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale = typical_compliance(scene.robot)
         axes = tuple(
             Parameter(
-                f"a_{k + 1}", "rad/(N m)", 0.5 * scale[k], plausible=(-50.0 * scale[k], 10.0 * scale[k]), group=f"axis {k + 1}"
+                f"a_{k + 1}",
+                "rad/(N m)",
+                0.5 * scale[k],
+                upper=0.0,
+                plausible=(-50.0 * scale[k], 0.0),
+                group=f"axis {k + 1}",
+                axis=int(k),
             )
             for k in np.flatnonzero(scene.driven)
         )
-        return (*axes, Parameter("x_0", "share of rated torque", 0.15, 0.01, 3.0, start=0.15, grid=FRACTIONS_OF_RATED))
+        return (
+            *axes,
+            Parameter("x_0", "share of rated torque", 0.15, 0.01, 3.0, start=0.15, grid=FRACTIONS_OF_RATED),
+            Parameter("slow", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0)),
+        )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        return self._columns(scene, theta[-1]) @ theta[:-1]
+        return self._columns(scene, *theta[-2:]) @ theta[:-2]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
+        *a, x_0, slow = theta
         h = 1e-3
-        columns = self._columns(scene, theta[-1])
-        by_break = (self._columns(scene, theta[-1] + h) - self._columns(scene, theta[-1] - h)) @ theta[:-1] / (2 * h)
-        return np.concatenate([columns, by_break[:, :, None]], axis=2)
+        columns = self._columns(scene, x_0, slow)
+        by_break = (self._columns(scene, x_0 + h, slow) - self._columns(scene, x_0 - h, slow)) @ a / (2 * h)
+        return np.concatenate([columns, by_break[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
 
-    def _columns(self, scene: Scene, fraction: float) -> Array:
+    def _columns(self, scene: Scene, fraction: float, slow: float) -> Array:
         x_0 = fraction * rated_torque(scene.robot)
+        saturating = np.arcsinh if slow >= 0.5 else np.tanh
 
         def g(x: Array) -> Array:
-            return x - x_0 * np.tanh(x / x_0)
+            return x - x_0 * saturating(x / x_0)
 
-        total = g(scene.tau + scene.tau_gravity)
-        bent = total - g(scene.tau_gravity) if scene.kind == "loaded" else total
+        bent = g(scene.tau + scene.tau_gravity) - g(scene.preload())
         return (scene.J * bent[:, None, :])[:, :, scene.driven]
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        return _Stiffening(scene, theta)
+
+
+class _Stiffening(ColumnLaw):
+    needs_gravity = True
+
+    def __init__(self, scene: Scene, theta: Array) -> None:
+        self.columns = drives(scene.n_joints)
+        self._a = np.zeros(scene.n_joints)
+        self._a[scene.driven] = theta[:-2]
+        self._x_0 = theta[-2] * rated_torque(scene.robot)
+        self._s = np.arcsinh if theta[-1] >= 0.5 else np.tanh
+
+    def displacement(self, tick: Tick, tau: Array) -> Array:
+        x_0, preload = self._x_0, tick.tau_gravity
+        out: Array = self._a * (tau - x_0 * (self._s((tau + preload) / x_0) - self._s(preload / x_0)))
+        return out

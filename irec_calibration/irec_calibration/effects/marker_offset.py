@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .scene import Scene
+from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
 
@@ -19,8 +20,9 @@ class MarkerOffset(Effect):
         "The marker sits off its stated place in tool0 by d: the rotation of the tool, elastic and commanded, moves it by "
         "dtheta x R d. Missing, the residual is proportional to the predicted rotation of the TCP."
     )
+    family = Family.INSTRUMENT
     acts_on = "instrument"
-    in_prediction = False
+    cause = Cause.MEASUREMENT
     needs_elastic = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
-from ..typing import Array
+from ..session.data import Session
+from ..typing import Array, Json
 from .base import Effect, Parameter
+from .scene import Scene
+from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
 
@@ -19,8 +21,9 @@ class MarkerPosition(Effect):
         "Position of each marker on its link (tool0 or base_link), relative to where the nominal robot has it. An unknown "
         "of every absolute session whose marker is not known; it says nothing about the robot."
     )
+    family = Family.INSTRUMENT
     acts_on = "instrument"
-    in_prediction = False
+    cause = Cause.MEASUREMENT
     registers = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
@@ -37,3 +40,11 @@ class MarkerPosition(Effect):
             return np.zeros((len(scene), 3, len(theta)))
         frame = np.where(scene.moves_with_arm[:, None, None], scene.kin.R_tool, np.eye(3))
         return np.concatenate([frame * (scene.marker == i)[:, None, None] for i in unknown], axis=2)
+
+    def placed(self, session: Session, values: dict[str, float]) -> Json:
+        out: Json = {}
+        for m in session.markers:
+            if f"x_{m.name}" in values:
+                d = np.array([values[f"{a}_{m.name}"] for a in AXES])
+                out.setdefault(f"markers_in_{m.link}", {})[m.name] = (np.array(m.xyz) + d).tolist()
+        return out

@@ -3,15 +3,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
 from .base_compliance import base_spring_regressor
+from .live import ColumnLaw, LiveForm, Tick
+from .scene import Scene
+from .traits import Family
 
 DOF = ("t_x", "t_y", "t_z", "r_x", "r_y", "r_z")
-POWERS = (0, 1, 2)
+PLACES = 9  # along the travel of the session, at which the softest place is looked for
+WIDTHS = (0.1, 0.22, 0.5)  # of the travel
+SHORTEST = 0.1  # m, of a travel
 
 
 class RailCompliance(Effect):
@@ -19,29 +25,70 @@ class RailCompliance(Effect):
     label = "rail compliance"
     physics = (
         "The carriage and its rail give way like a base spring, differently along the travel: each of six compliances is a "
-        "parabola over the rail position. Missing, the residual depends on the rail position."
+        "constant part and one that is largest at the place s_0 and fades over the distance w: c + soft exp(-((s - s_0)/w)^2), "
+        "neither negative. Missing, the residual depends on the rail position."
     )
+    family = Family.SPRING
     elastic = True
     needs = ("ext", "load")
 
+    obsolete = (r".*_s[012]",)
+
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        return tuple(
+        position = _position(scene)
+        low, high = float(position.min()), float(position.max())
+        travel = max(high - low, SHORTEST)
+        places = tuple(float(s) for s in np.linspace(low, high, PLACES)) if high > low else (low,)
+        springs = tuple(
             Parameter(
-                f"{d}_s{power}",
-                "m/N" if d[0] == "t" else "rad/(N m)",
-                1e-8 if d[0] == "t" else 2e-8,
-                lower=0.0 if power == 0 else -np.inf,
-                group=d,
+                name, "m/N" if d[0] == "t" else "rad/(N m)", 1e-8 if d[0] == "t" else 2e-8, lower=0.0,
+                plausible=(0.0, 1e-6 if d[0] == "t" else 2e-6), group=d,
             )
             for d in DOF
-            for power in POWERS
+            for name in (d, f"{d}_soft")
+        )  # fmt: skip
+        widths = tuple(share * travel for share in WIDTHS)
+        return (
+            *springs,
+            Parameter("s_0", "m", travel, low - travel, high + travel, start=places[len(places) // 2], grid=places),
+            Parameter("w", "m", travel, 1e-3, 100.0, start=widths[0], grid=widths),
         )
 
+    def displacement(self, scene: Scene, theta: Array) -> Array:
+        return self._columns(scene, *theta[-2:]) @ theta[:-2]
+
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        position = next(iter(scene.ext.values()))
-        s = np.where(np.isfinite(position), position, 0.0) / RAIL_LENGTH_SCALE
+        *values, place, width = theta
+        h = 1e-4 * width
+        by_place = (self._columns(scene, place + h, width) - self._columns(scene, place - h, width)) @ values / (2 * h)
+        by_width = (self._columns(scene, place, width + h) - self._columns(scene, place, width - h)) @ values / (2 * h)
+        return np.concatenate([self._columns(scene, place, width), by_place[:, :, None], by_width[:, :, None]], axis=2)
+
+    def _columns(self, scene: Scene, place: float, width: float) -> Array:
+        """Displacement per unit of each compliance, (n, 3, 12)."""
+        soft = np.exp(-(((_position(scene) - place) / width) ** 2))
         spring = base_spring_regressor(scene)
-        return np.concatenate([spring[:, :, d : d + 1] * s[:, None, None] ** p for d in range(6) for p in POWERS], axis=2)
+        return np.stack([spring, spring * soft[:, None, None]], axis=3).reshape(len(scene), 3, -1)
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        return _Carriage(theta[:-2].reshape(-1, 2), *theta[-2:])
 
 
-RAIL_LENGTH_SCALE = 1.0  # m; rail position is used in metres so that a model means the same on another session
+def _position(scene: Scene) -> Array:
+    """Of the first external axis, (n,), m; 0 where it was not logged."""
+    position = next(iter(scene.ext.values()), np.zeros(len(scene)))
+    return np.where(np.isfinite(position), position, 0.0)
+
+
+class _Carriage(ColumnLaw):
+    columns = tuple(f"base_{d}" for d in DOF)
+    elastic = True
+
+    def __init__(self, compliances: Array, place: float, width: float) -> None:
+        self._constant, self._soft = compliances.T
+        self._place, self._width = float(place), float(width)
+
+    def displacement(self, tick: Tick, tau: Array) -> Array:
+        soft = math.exp(-(((tick.rail_position - self._place) / self._width) ** 2))
+        out: Array = (self._constant + soft * self._soft) * tau
+        return out

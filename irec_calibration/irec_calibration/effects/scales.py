@@ -3,25 +3,85 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ..robot import Robot
-from ..scene import Scene
-from ..typing import Array
+from ..typing import Array, BoolArray
+from .scene import Scene
 
 TWIST_AT_RATED_TORQUE = 1e-3  # rad; heavy and light robots alike twist 0.2 .. 2 mrad per joint at their drives' limit
-EFFORT_WHERE_UNKNOWN = 1000.0  # N m
+RATED_OVER_GRAVITY = 2.0  # a drive that is rated for its arm carries about twice what gravity asks of it at worst
+POSTURES = 64
+SMALLEST_SHARE = 1e-3  # of the strongest joint's torque: a joint that gravity hardly loads is still a drive
+STIFFER_THAN = 100.0  # times the typical compliance: more is no gear
+TWIST_UNDER_OWN_WEIGHT = 0.02  # rad; light arms on soft drives or soft servos sag that much, none more
+LAG = 3e-3  # rad; friction of a sound gear and servo
+LAG_OVER_REPEATABILITY = 5.0  # what the side from which a joint came moves the tool by, over one standard deviation of the rest
+WITHOUT_MASSES = 1000.0  # N m, where the robot description gives neither efforts nor masses: nothing is known
 
 
-def rated_torque(robot: Robot) -> Array:
-    """Torque limit of each joint, (k,), N m; a middle value where the URDF gives none."""
+def rating_known(robot: Robot) -> BoolArray:
+    """Joints whose torque limit the description gives, (k,); 0 means that it is not known."""
     effort = np.asarray(robot.effort, dtype=float)
-    return np.where(np.isfinite(effort) & (effort > 0.0), effort, EFFORT_WHERE_UNKNOWN)
+    found: BoolArray = np.isfinite(effort) & (effort > 0.0)
+    return found
+
+
+@lru_cache(maxsize=16)
+def rated_torque(robot: Robot) -> Array:
+    """Torque limit of each joint, (k,), N m (N where it slides).
+
+    Where the robot description gives none (`effort="0"` means that it is not known), twice the largest torque that gravity exerts
+    in any direction over a fixed set of postures. It depends on the robot alone, so that a share of it in a model means the same
+    in every session.
+    """
+    effort = np.asarray(robot.effort, dtype=float)
+    known = rating_known(robot)
+    if not known.all():
+        by_gravity = _worst_gravity_torque(robot)
+        largest = float(by_gravity.max())
+        guess = np.maximum(by_gravity, SMALLEST_SHARE * largest) if largest > 0.0 else np.full(len(effort), WITHOUT_MASSES)
+        effort = np.where(known, effort, guess)
+    effort.setflags(write=False)
+    return effort
+
+
+def _worst_gravity_torque(robot: Robot) -> Array:
+    lower, upper = np.clip(robot.lower, -np.pi, np.pi), np.clip(robot.upper, -np.pi, np.pi)
+    q = np.random.default_rng(0).uniform(lower, np.maximum(upper, lower), (POSTURES, robot.n_joints))
+    torque = [np.abs(robot.gravity_torque(q, tuple(9.81 * e))).max(axis=0) for e in np.eye(3)]
+    return RATED_OVER_GRAVITY * np.max(torque, axis=0)
 
 
 def typical_compliance(robot: Robot) -> Array:
     """Order of magnitude of each joint's torsional compliance, (k,), rad/(N m)."""
     return TWIST_AT_RATED_TORQUE / rated_torque(robot)
+
+
+def softest(scene: Scene, scale: Array, largest_torque: Array) -> Array:
+    """The largest compliance that is physically likely, (p,), rad/(N m).
+
+    Under gravity alone a light arm on soft drives may be far softer than its torque limits say; how far it sags bounds it.
+
+    Args:
+        scale: typical compliance, (p,). largest_torque: that acts in the session, (p,), N m.
+    """
+    limit = STIFFER_THAN * scale
+    if scene.kind != "absolute":
+        return limit
+    by_sag = TWIST_UNDER_OWN_WEIGHT / np.maximum(largest_torque, TWIST_UNDER_OWN_WEIGHT / np.maximum(1e3 * limit, 1e-300))
+    return np.maximum(limit, by_sag)
+
+
+def largest_lag(scene: Scene) -> Array:
+    """The largest angle that is physically likely between a joint that came from one side and from the other, (k,), rad.
+
+    A stated repeatability tells the class of the robot: it counts approaches from one side, the lag comes on top of it.
+    """
+    by_class = LAG_OVER_REPEATABILITY * scene.arm.repeatability / np.maximum(scene.view.lever, 1e-2)
+    return np.maximum(LAG, by_class)
 
 
 def typical_reach(scene: Scene) -> float:

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from scipy.spatial.transform import Rotation
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .live import LiveForm, SensorMap
+from .scene import Scene
+from .traits import Family
 
 AXES = ("x", "y", "z")
 
@@ -19,13 +21,18 @@ class SensorAlignment(Effect):
         "The force sensor is mounted turned: the force that acts is R f with a small rotation vector in tool0 (mostly "
         "about the sensor's mounting axis). Missing, the lateral load cases N, E, S, W rotate into each other."
     )
+    family = Family.SENSOR
     acts_on = "wrench"
-    in_prediction = False
     needs = ("load",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"w_{a}", "rad", 0.03, -0.8, 0.8, plausible=(-0.3, 0.3), group=f"about {a}") for a in AXES)
+        # a sensor can be bolted on at any angle, so nothing within the bounds is implausible
+        return tuple(Parameter(f"w_{a}", "rad", 0.03, -0.8, 0.8, group=f"about {a}") for a in AXES)
 
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
         R = Rotation.from_rotvec(theta).as_matrix()
         return scene.force_in_tool @ R.T, scene.torque_in_tool @ R.T
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        R = Rotation.from_rotvec(theta).as_matrix()
+        return SensorMap(force=R, torque=R)

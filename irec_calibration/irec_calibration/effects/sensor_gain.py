@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .live import LiveForm, SensorMap
+from .scene import Scene
+from .traits import Family
 
 NAMES = ("e_xx", "e_yy", "e_xy", "e_xz", "e_yx", "e_yz", "e_zx", "e_zy")
 LIMIT = 0.5
@@ -27,8 +29,8 @@ class SensorGain(Effect):
         "(I + E) f, E traceless. Missing, the error is proportional to the force whatever the pose, along the model's own "
         "prediction."
     )
+    family = Family.SENSOR
     acts_on = "wrench"
-    in_prediction = False
     needs = ("load",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
@@ -39,3 +41,6 @@ class SensorGain(Effect):
 
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
         return scene.force_in_tool @ (np.eye(3) + crosstalk(theta)).T, scene.torque_in_tool
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        return SensorMap(force=np.eye(3) + crosstalk(theta))

@@ -6,9 +6,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..scene import Scene
-from ..typing import Array
+from ..session.data import Session
+from ..typing import Array, Json
 from .base import Effect, Parameter
+from .scene import Scene
+from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
 
@@ -21,8 +23,9 @@ class StationPose(Effect):
         "rotation vector w. An unknown of every absolute session whose station is not known; it says nothing about the "
         "robot."
     )
+    family = Family.INSTRUMENT
     acts_on = "instrument"
-    in_prediction = False
+    cause = Cause.MEASUREMENT
     registers = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
@@ -48,6 +51,15 @@ class StationPose(Effect):
             turned = Rotation.from_rotvec(w).apply(v[rows])
             out[rows, :, 6 * j + 3 : 6 * j + 6] = np.swapaxes(np.cross(turned[:, None, :], left_jacobian(w).T[None]), 1, 2)
         return out
+
+    def placed(self, session: Session, values: dict[str, float]) -> Json:
+        out: Json = {}
+        for s in session.stations:
+            if f"w_x_{s.name}" in values:
+                d, w = (np.array([values[f"{p}{a}_{s.name}"] for a in AXES]) for p in ("", "w_"))
+                turned = Rotation.from_rotvec(w) * Rotation.from_quat(s.quat_xyzw)
+                out[s.name] = {"xyz": (np.array(s.xyz) + d).tolist(), "quat_xyzw": turned.as_quat().tolist()}
+        return {"stations_in_base_link": out} if out else {}
 
     def _measured(self, scene: Scene) -> Array:
         if scene.measured_from_station is None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .scene import Scene
+from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
 
@@ -19,8 +20,9 @@ class StationRegistration(Effect):
         "The rotation of a tracker station in base_link is off by a small rotation vector w (true = exp(w) stated). "
         "Missing, the residual is proportional to the measured displacement and perpendicular to it."
     )
+    family = Family.INSTRUMENT
     acts_on = "instrument"
-    in_prediction = False
+    cause = Cause.MEASUREMENT
     needs_elastic = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

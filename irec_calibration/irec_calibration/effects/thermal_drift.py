@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .scene import Scene
+from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
 
@@ -19,6 +20,8 @@ class ThermalDrift(Effect):
         "Links and tracker stand grow while the cell warms up: v T (1 - exp(-t/T)), which is v t for a long T, or in "
         "proportion to a logged temperature. Missing, the residual grows with the time since the reference and is blind to force."
     )
+    family = Family.TIME
+    cause = Cause.TIME
     needs = ("time",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .live import LiveForm, Springs
+from .scene import Scene
+from .traits import Family
 
 AXES = ("x", "y", "z")
 PAIRS = ((0, 1), (0, 2), (1, 2))
@@ -21,6 +23,7 @@ class ToolCompliance(Effect):
         "symmetric compliance tensor in tool0. Missing, the residual is constant in the tool frame, proportional to the "
         "force and blind to the arm's pose."
     )
+    family = Family.SPRING
     elastic = True
     needs = ("load",)
 
@@ -39,3 +42,9 @@ class ToolCompliance(Effect):
             in_tool[:, i, 3 + c] = f[:, j]
             in_tool[:, j, 3 + c] = f[:, i]
         return np.einsum("nij,njp->nip", scene.kin.R_tool, in_tool) * scene.moves_with_arm[:, None, None]
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        entries = [(f"tool_{a}", f"tool_{a}", float(v)) for a, v in zip(AXES, theta[:3], strict=True)]
+        for (i, j), v in zip(PAIRS, theta[3:], strict=True):
+            entries += [(f"tool_{AXES[a]}", f"tool_{AXES[b]}", float(v)) for a, b in ((i, j), (j, i))]
+        return Springs(tuple(entries))

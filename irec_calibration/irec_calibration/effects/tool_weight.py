@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .live import LiveForm, SensorMap
+from .scene import Scene
+from .traits import Evidence, Family
 
 
 class ToolWeight(Effect):
@@ -18,8 +20,9 @@ class ToolWeight(Effect):
         "R^T g dm too much. It turns with the flange and shows at the reference, where no force acts; that reading is the "
         "evidence for it, since in the difference to the reference it cancels."
     )
+    family = Family.SENSOR
+    evidence = Evidence.REFERENCE_READINGS
     acts_on = "wrench"
-    in_prediction = False
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return (Parameter("dm", "kg", 2.0, -500.0, 500.0, plausible=(-100.0, 100.0)),)
@@ -30,3 +33,6 @@ class ToolWeight(Effect):
 
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
         return scene.force_in_tool - self.reading(scene, theta), scene.torque_in_tool
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        return SensorMap(weight=-theta[0] * np.eye(3))

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
 from ..typing import Array
 from .base import Effect, Parameter
+from .scene import Scene
+from .traits import Cause, Family
 
 
 class TrackerScale(Effect):
@@ -17,8 +18,9 @@ class TrackerScale(Effect):
         "Refraction, temperature or a wrong scale factor make the tracker's lengths (1 + s) times the true ones. Missing, "
         "the residual is parallel to the measured displacement."
     )
+    family = Family.INSTRUMENT
     acts_on = "instrument"
-    in_prediction = False
+    cause = Cause.MEASUREMENT
     needs_elastic = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

@@ -43,7 +43,7 @@ def register_file(path: str | Path) -> list[Effect]:
             effect = cls()
         except TypeError as error:
             raise EffectError(f"{path}: class {cls.__name__}: {error}") from error
-        register(effect)
+        register(effect, str(path.resolve()))
         effects.append(effect)
     return effects
 

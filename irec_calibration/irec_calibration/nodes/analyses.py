@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..errors import IrecError
+from ..lengths import length
 
 STATUSES = ("adequate", "missing_effect", "unexplained")
 Answer = tuple[str, list[str], float, str]  # status, effects, cross-validated RMS in m, plain words
@@ -17,7 +18,7 @@ Answer = tuple[str, list[str], float, str]  # status, effects, cross-validated R
 
 def _compared(found: dict[str, Any]) -> Answer:
     rms, floor = float(found["rms_m"]), float(found["noise_floor_m"])
-    words = f"The model leaves {1e6 * rms:.1f} um; the instruments' noise is {1e6 * floor:.1f} um."
+    words = f"The model leaves {length(rms)}; the instruments' noise is {length(floor)}."
     return "not_evaluated", [], float("nan"), words
 
 
@@ -33,7 +34,7 @@ def diagnosed(found: dict[str, Any]) -> Answer:
 def _added(found: dict[str, Any]) -> Answer:
     before, after = float(found["cv_rms_before_m"]), float(found["cv_rms_after_m"])
     p_value = float(found["p_value"])
-    words = f"Error on held-out poses {1e6 * before:.1f} um before, {1e6 * after:.1f} um after (p = {p_value:.2g})."
+    words = f"Error on held-out poses {length(before)} before, {length(after)} after (p = {p_value:.2g})."
     return "not_evaluated", [str(e) for e in found["effects"]], after, words
 
 
@@ -67,7 +68,7 @@ def run_command(arguments: list[str]) -> dict[str, Any]:
     done = subprocess.run(
         [sys.executable, "-m", "irec_calibration.cli", *arguments], capture_output=True, text=True, check=False
     )
-    if done.returncode not in (0, 1):
+    if done.returncode not in (0, 1) or not done.stdout.strip():
         lines = done.stderr.strip().splitlines()
         raise IrecError(lines[-1] if lines else f"irec {arguments[0]} ended with code {done.returncode}")
     try:

@@ -21,16 +21,16 @@ class CorrectionWatch:
     """Listens to irec/correction/state; is told the robot's own state by whoever has it."""
 
     def __init__(self, node: Node) -> None:
-        self._state, self._heard = CorrectionState.INACTIVE, -math.inf
+        self._state, self._received = CorrectionState.INACTIVE, -math.inf
         either = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches reliable publishers too
         node.create_subscription(CorrectionState, "irec/correction/state", self._on_state, either)
 
     def _on_state(self, message: CorrectionState) -> None:
-        self._state, self._heard = message.state, time.monotonic()
+        self._state, self._received = message.state, time.monotonic()
 
     def problem(self, robot: RobotState | None) -> str:
         """Why nothing may be measured now, and what to do; empty where nothing corrects."""
-        if self._state not in AT_REST and time.monotonic() - self._heard < RECENT:
+        if self._state not in AT_REST and time.monotonic() - self._received < RECENT:
             what = f"irec/correction/state is {NAMES.get(self._state, self._state)}"
         elif robot is not None and math.hypot(robot.offset.x, robot.offset.y, robot.offset.z) > NO_OFFSET:
             offset = 1e3 * math.hypot(robot.offset.x, robot.offset.y, robot.offset.z)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions to everything that the cell measures: serialized to the recording, decoded into the streams."""
+"""Subscriptions to everything that the cell measures: serialized to the recording, decoded, checked, into the streams."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from std_msgs.msg import Header
 
 from irec_msgs.msg import RobotState
 
+from ..errors import RecordingError
+from ..procedure.inputs import Inputs
 from ..procedure.recorder import SessionRecorder
-from ..procedure.settle import Streams
 
 FOLLOW_EVERY = 2  # wrenches
 QUEUE_DEPTH = 5000  # messages; a node that is held up for seconds loses nothing of a recording
@@ -32,14 +33,21 @@ TYPES = {
 
 
 class Instruments:
-    """Feeds `streams` while a run is under way and `recorder` while there is one."""
+    """Feeds `inputs` always and the recording while there is one.
 
-    def __init__(self, node: Node, streams: Streams, on_robot_state: Callable[[RobotState], None]) -> None:
-        self._node, self.streams, self._on_robot_state = node, streams, on_robot_state
+    A recording that fails, because the disk is full, is left alone from then on; `recording_problem` says so.
+    """
+
+    def __init__(
+        self, node: Node, inputs: Inputs, on_robot_state: Callable[[RobotState], None], on_wrench: Callable[[], None]
+    ) -> None:
+        """on_wrench: called after each wrench that was taken, so that the procedure keeps up with a cell of any speed."""
+        self._node, self.inputs, self._on_robot_state, self._on_wrench = node, inputs, on_robot_state, on_wrench
         self._recorder: SessionRecorder | None = None
+        self.recording_problem = ""
         self._channels: dict[str, int] = {}
         self._types: dict[str, str] = {}
-        self.counts: dict[str, int] = {}
+        self._wrenches = 0
         # a simulated cell that runs faster than real time waits for those who tell it how far they are
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._follower = node.create_publisher(Header, "sim/follower", 10) if simulated else None
@@ -48,7 +56,7 @@ class Instruments:
         self._subscribe("wrench", WrenchStamped, self._wrench)
         self._subscribe("wrench_raw", WrenchStamped, None)
         self._subscribe("tracker/point", PointStamped, self._marker)
-        self._subscribe("robot/state", RobotState, self._on_robot_state)
+        self._subscribe("robot/state", RobotState, lambda _, m: self._on_robot_state(m))
 
     def find_temperatures(self) -> None:
         """Subscribe to every temperature/<name> that has appeared."""
@@ -59,42 +67,56 @@ class Instruments:
 
     def record_to(self, recorder: SessionRecorder | None) -> None:
         """Write everything that comes in to this recording; None: to none."""
-        self._recorder = recorder
+        self._recorder, self.recording_problem = recorder, ""
         self._channels = {} if recorder is None else {t: recorder.add_topic(t, name) for t, name in self._types.items()}
 
-    def _subscribe(self, topic: str, kind: Any, handle: Callable[[Any], None] | None) -> None:
+    def record(self, write: Callable[[SessionRecorder], None]) -> None:
+        """Write something to the recording, if there is one that still works."""
+        if self._recorder is None:
+            return
+        try:
+            write(self._recorder)
+        except RecordingError as error:
+            self._recorder, self.recording_problem = None, f"the recording has failed: {error}"
+
+    def _subscribe(self, topic: str, kind: Any, handle: Callable[[float, Any], None] | None) -> None:
         name = self._node.resolve_topic_name(topic)
         self._types[name] = TYPES[kind]
-        if self._recorder is not None:
-            self._channels[name] = self._recorder.add_topic(name, TYPES[kind])
+
+        def register(recorder: SessionRecorder) -> None:
+            self._channels[name] = recorder.add_topic(name, TYPES[kind])
+
+        self.record(register)
         qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
         self._node.create_subscription(kind, name, partial(self._on_message, name, kind, handle), qos, raw=True)
 
-    def _on_message(self, topic: str, kind: Any, handle: Callable[[Any], None] | None, data: bytes) -> None:
-        self.counts[topic] = self.counts.get(topic, 0) + 1
-        if self._recorder is not None:
-            self._recorder.write_raw(self._channels[topic], data, self._node.get_clock().now().nanoseconds)
+    def _on_message(self, topic: str, kind: Any, handle: Callable[[float, Any], None] | None, data: bytes) -> None:
+        now = self._node.get_clock().now().nanoseconds
+        if topic in self._channels:
+            self.record(lambda recorder: recorder.write_raw(self._channels[topic], data, now))
         if handle is not None:
-            handle(deserialize_message(data, kind))
+            handle(1e-9 * now, deserialize_message(data, kind))
 
-    def _joints(self, m: JointState) -> None:
-        self.streams.add_joints(_seconds(m), tuple(m.name), tuple(m.position))
+    def _joints(self, now: float, m: JointState) -> None:
+        self.inputs.joints(now, _seconds(m), m.name, m.position)
 
-    def _tcp(self, m: PoseStamped) -> None:
-        p = m.pose.position
-        self.streams.add_tcp(_seconds(m), p.x, p.y, p.z)
+    def _tcp(self, now: float, m: PoseStamped) -> None:
+        p, o = m.pose.position, m.pose.orientation
+        self.inputs.tcp(now, _seconds(m), m.header.frame_id, (p.x, p.y, p.z), (o.x, o.y, o.z, o.w))
 
-    def _wrench(self, m: WrenchStamped) -> None:
+    def _wrench(self, now: float, m: WrenchStamped) -> None:
         f, t = m.wrench.force, m.wrench.torque
-        self.streams.add_wrench(_seconds(m), (f.x, f.y, f.z, t.x, t.y, t.z))
-        if self._follower is not None and self.streams.counts["force"] % FOLLOW_EVERY == 0:
-            self._follower.publish(Header(stamp=m.header.stamp, frame_id=self._node.get_name()))
+        self.inputs.wrench(now, _seconds(m), m.header.frame_id, (f.x, f.y, f.z), (t.x, t.y, t.z))
+        self._wrenches += 1
+        if self._follower is not None and self._wrenches % FOLLOW_EVERY == 0:
+            self._follower.publish(Header(stamp=m.header.stamp, frame_id=self._node.get_fully_qualified_name()))
+        self._on_wrench()
 
-    def _marker(self, m: PointStamped) -> None:
-        self.streams.add_marker(_seconds(m), m.point.x, m.point.y, m.point.z, m.header.frame_id)
+    def _marker(self, now: float, m: PointStamped) -> None:
+        self.inputs.marker(now, _seconds(m), m.header.frame_id, (m.point.x, m.point.y, m.point.z))
 
-    def _temperature(self, name: str, m: Temperature) -> None:
-        self.streams.temperature[name] = m.temperature
+    def _temperature(self, name: str, _: float, m: Temperature) -> None:
+        self.inputs.temperature(name, m.temperature)
 
 
 def _seconds(message: Any) -> float:

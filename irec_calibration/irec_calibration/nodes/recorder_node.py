@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 import time
@@ -13,36 +12,42 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import rclpy
-from rcl_interfaces.msg import ParameterDescriptor
+from irec_ros.guard import GuardedNode
+from irec_ros.parameters import P, Parameters
+from irec_ros.startup import refuse_unknown_parameters, run_process, spin_until
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.exceptions import NameValidationException
 from rclpy.experimental import EventsExecutor
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_topic_name import validate_topic_name
 from std_srvs.srv import Trigger
 
 from .. import __version__
 from ..errors import RecordingError
 from ..recording import BagWriter, Qos
-from .startup import begin, refuse_unknown_parameters
 
 DISCOVERY_PERIOD = 0.2  # s of the machine's clock, between looks for topics that are not there yet
 STOP_TIME = 2.0  # s that a stop may wait for messages that have arrived already
 QUIET_SPINS = 5  # turns of the executor without a message, after which none is left
 QUEUE_DEPTH = 5000  # messages; a recorder that is held up for seconds loses nothing
+PARAMETERS = (
+    P("output", "", "folder to write; empty: recording_<date>_<time> in the current folder"),
+    P("topics", [""], "names of the topics to record"),
+    P("attachments", [""], "files to store inside the recording"),
+    P("autostart", True, "record from the start"),
+)
 
 
-class RecorderNode(Node):
-    """Parameters: output (folder), topics, attachments (files), autostart. Services: ~/start, ~/stop."""
+class RecorderNode(GuardedNode):
+    """Parameters: see PARAMETERS. Services: ~/start, ~/stop."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        self._output = self._text("output", "folder to write; empty: recording_<date>_<time> in the current folder")
-        self._topics = self._texts("topics", "names of the topics to record")
-        self._attachments = [Path(p) for p in self._texts("attachments", "files to store inside the recording")]
+        p = Parameters(self, PARAMETERS)
+        refuse_unknown_parameters(self)
+        self._output: str = p["output"]
+        self._topics = [t for t in p["topics"] if t]
+        self._attachments = [Path(f) for f in p["attachments"] if f]
         if not self._topics:
             raise RecordingError("parameter 'topics' is empty; name at least one topic to record")
         for topic in self._topics:
@@ -60,9 +65,7 @@ class RecorderNode(Node):
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_timer(DISCOVERY_PERIOD, self._look_for_topics, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        autostart = self.declare_parameter("autostart", True, ParameterDescriptor(description="record from the start")).value
-        refuse_unknown_parameters(self)
-        if autostart:
+        if p["autostart"]:
             self.start()
 
     def start(self) -> Path:
@@ -150,38 +153,22 @@ class RecorderNode(Node):
             response.message, response.success = str(error), False
         return response
 
-    def _text(self, name: str, description: str) -> str:
-        return str(self.declare_parameter(name, "", ParameterDescriptor(description=description)).value)
-
-    def _texts(self, name: str, description: str) -> list[str]:
-        descriptor = ParameterDescriptor(description=description)
-        return [str(v) for v in self.declare_parameter(name, [""], descriptor).value or [] if v]
-
 
 def main() -> int:
     """Record until SIGINT or SIGTERM, then write what has arrived by then and finish the file."""
-    if not begin("recorder", signal_handler_options=SignalHandlerOptions.NO):
-        return 2
-    asked_to_stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: asked_to_stop.set())
+    return run_process("recorder", _work, RecordingError)
+
+
+def _work(asked_to_stop: threading.Event) -> None:
+    node = RecorderNode()
+    executor = EventsExecutor()
+    executor.add_node(node)
     try:
-        node = RecorderNode()
-        executor = EventsExecutor()
-        executor.add_node(node)
-        try:
-            while not asked_to_stop.is_set():
-                executor.spin_once(timeout_sec=0.5)
-            _empty_queues(node, executor)
-        finally:
-            if node.recording:
-                print(f"recorder: {node.stop()}", file=sys.stderr)
-    except (RecordingError, ParameterException) as error:
-        print(f"recorder: {error}", file=sys.stderr)
-        return 2
+        spin_until(asked_to_stop, executor.spin_once)
+        _empty_queues(node, executor)
     finally:
-        rclpy.try_shutdown()
-    return 0
+        if node.recording:
+            print(f"recorder: {node.stop()}", file=sys.stderr)
 
 
 def _empty_queues(node: RecorderNode, executor: EventsExecutor) -> None:

@@ -4,31 +4,28 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Vector3, WrenchStamped
+from geometry_msgs.msg import WrenchStamped
 from rclpy.action import ActionClient
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from scipy.spatial.transform import Rotation
 
 from irec_msgs.action import Move
 from irec_msgs.srv import SetControlMode
 
+from ..procedure.axes import Axes
 from ..procedure.commands import CancelMove, ForceSetpoint, MoveJoint, MoveLinear, SwitchMode
 from ..procedure.machine import Procedure
-
-STATUS_CANCELED = 5
-Answer = Callable[[bool, str], None]
+from .rows import vector
 
 
 class RobotLink:
     """Moves, control mode and force set points. A command waits until a cancelled move has come to rest."""
 
-    def __init__(self, node: Node, joint_names: tuple[str, ...]) -> None:
-        self._node, self._joint_names = node, joint_names
+    def __init__(self, node: Any, axes: Axes) -> None:
+        self._node, self._axes = node, axes
         self._move = ActionClient(node, Move, "robot/move")
         self._mode = node.create_client(SetControlMode, "robot/set_control_mode")
         depth = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -40,6 +37,11 @@ class RobotLink:
         self._cancelling = False
 
     @property
+    def namespace(self) -> str:
+        """Of the node, e.g. /cell_a."""
+        return str(self._node.get_namespace())
+
+    @property
     def missing(self) -> str:
         """What the robot's driver does not offer yet, empty when all is there."""
         missing = []
@@ -49,9 +51,25 @@ class RobotLink:
             missing.append("service robot/set_control_mode")
         return ", ".join(missing)
 
+    @property
+    def rivals(self) -> str:
+        """Who else sends force set points; empty where nobody does. Two procedures on one robot are one too many."""
+        senders = self._node.get_publishers_info_by_topic(self._force.topic_name)
+        if len(senders) < 2:
+            return ""
+        names = sorted({f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in senders})
+        return f"{len(senders)} nodes publish {self._force.topic_name} ({', '.join(names)})"
+
+    def leave_contact(self) -> None:
+        """Without the procedure, which has failed: nothing more is sent but the way out of force control."""
+        self._queue.clear()
+        self._procedure = None
+        self._cancel()
+        self._mode.call_async(SetControlMode.Request(mode=SetControlMode.Request.POSITION))
+
     def attach(self, procedure: Procedure) -> None:
         """Answers go to this procedure from now on."""
-        self._procedure = procedure
+        self._procedure, self._cancelling = procedure, False
         self._queue.clear()
 
     def do(self, command: Any) -> None:
@@ -75,11 +93,9 @@ class RobotLink:
         goal = Move.Goal(speed=float(command.speed))
         if isinstance(command, MoveJoint):
             goal.kind = Move.Goal.JOINT
-            values = dict(zip(self._joint_names, command.q, strict=True))
-            if command.rail is not None:
-                values["ext_rail"] = command.rail
-            goal.joint_names = list(values)
-            goal.joint_position = [float(v) for v in values.values()]
+            position = [*command.q, *([] if command.rail is None else [command.rail])]
+            goal.joint_names = list(self._axes.driver[: len(position)])
+            goal.joint_position = [float(v) for v in position]
         else:
             goal.kind = Move.Goal.LINEAR
             p, o = goal.pose.position, goal.pose.orientation
@@ -87,7 +103,8 @@ class RobotLink:
             o.x, o.y, o.z, o.w = (float(v) for v in Rotation.from_matrix(command.R_in_base).as_quat())
         self._move_number += 1
         number = self._move_number
-        self._move.send_goal_async(goal).add_done_callback(lambda future: self._accepted(number, future))
+        accepted = self._node.guarded("action robot/move", lambda future: self._accepted(number, future))
+        self._move.send_goal_async(goal).add_done_callback(accepted)
 
     def _accepted(self, number: int, future: Any) -> None:
         handle = future.result()
@@ -97,9 +114,12 @@ class RobotLink:
         self._goal = handle
         if self._cancelling:
             handle.cancel_goal_async()
-        handle.get_result_async().add_done_callback(
-            lambda f: self._ended(number, f.result().result.success, f.result().result.message)
-        )
+
+        def ended(future: Any) -> None:
+            result = future.result().result
+            self._ended(number, result.success, result.message)
+
+        handle.get_result_async().add_done_callback(self._node.guarded("action robot/move", ended))
 
     def _ended(self, number: int, success: bool, message: str) -> None:
         if number != self._move_number:
@@ -119,21 +139,19 @@ class RobotLink:
 
     def _send_mode(self, command: SwitchMode) -> None:
         mode = SetControlMode.Request.FORCE if command.force else SetControlMode.Request.POSITION
-        request = SetControlMode.Request(mode=mode, force_in_tool=_vector(command.force_in_tool))
-        self._mode.call_async(request).add_done_callback(self._switched)
+        request = SetControlMode.Request(mode=mode, force_in_tool=vector(command.force_in_tool))
+        switched = self._node.guarded("service robot/set_control_mode", self._switched)
+        self._mode.call_async(request).add_done_callback(switched)
 
     def _switched(self, future: Any) -> None:
         response = future.result()
         if self._procedure is not None:
-            self._procedure.mode_switched(response.success, response.message)
+            self._procedure.mode_switched(response.success, response.message, float(response.force_lease))
 
     def _send_force(self, force_in_tool: np.ndarray) -> None:
         message = WrenchStamped()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.header.frame_id = "tool0"
-        message.wrench.force = _vector(force_in_tool)
+        message.wrench.force = vector(force_in_tool)
         self._force.publish(message)
 
-
-def _vector(v: np.ndarray) -> Vector3:
-    return Vector3(x=float(v[0]), y=float(v[1]), z=float(v[2]))

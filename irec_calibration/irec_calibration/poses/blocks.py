@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import PlanError
 from ..robot import Kinematics
+from ..robot.kinetostatics import deflection_per_compliance
 from ..typing import Array
 
 _UNSEEN = 1e-9  # column length relative to the longest, below which no pose shows a parameter at all
@@ -34,7 +35,7 @@ def observation_blocks(kin: Kinematics, forces_in_tool: Array, observed_in_tool:
     if bending:
         J_t = np.concatenate([J_t, kin.virtual_jacobian(kin.p_tcp)], axis=2)
         J_m = np.concatenate([J_m, kin.virtual_jacobian(p_observed)], axis=2)
-    return J_m[:, None] * (force @ J_t)[:, :, None, :]
+    return deflection_per_compliance(J_m[:, None], force @ J_t)
 
 
 def gram(blocks: Array) -> Array:

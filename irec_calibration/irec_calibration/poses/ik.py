@@ -14,6 +14,8 @@ from ..robot import Robot
 from ..typing import Array, BoolArray
 
 _MAX_STEPS = 60
+_RESTING_STEPS = 35  # of these, in which a redundant arm is drawn to its rest
+_REST_GAIN = 0.15  # share of the distance per step
 _NEARBY_STEPS = 15  # from joint angles that are near the solution
 _LARGEST_STEP = 0.35  # rad (or m) per iteration and joint
 _ANGLE_WEIGHT = 0.5  # m per rad: what an error of direction counts against one of position
@@ -62,13 +64,16 @@ def _rotation(axis: Array, angle: Array) -> Array:
     return np.eye(3) + np.sin(angle)[:, None, None] * K + (1 - np.cos(angle))[:, None, None] * (K @ K)
 
 
-def solve_tool_axis(chain: Chain, p: Array, z: Array, start: Array) -> tuple[Array, BoolArray]:
+def solve_tool_axis(
+    chain: Chain, p: Array, z: Array, start: Array, rest: Array | None = None
+) -> tuple[Array, BoolArray]:
     """Joint angles that put the TCP at a point with tool z along a direction; rotation about tool z is left free.
 
     Args:
         p: wanted TCP in base_link, shape (n, 3), m.
         z: wanted unit direction of tool z in base_link, shape (n, 3).
         start: joint angles to begin with, shape (n, k), rad. The rotation about z that comes out follows from it.
+        rest: joint angles (n, k) that the arm is drawn to by motions that leave the tool where it is (None: not drawn).
 
     Returns:
         joint angles (n, k), not wrapped to any limit, and whether each has converged to 1e-9 m (n,).
@@ -77,7 +82,7 @@ def solve_tool_axis(chain: Chain, p: Array, z: Array, start: Array) -> tuple[Arr
     converged = np.zeros(len(q), dtype=bool)
     active = np.arange(len(q))
     damping = 1e-3 * np.eye(6)
-    for _ in range(_MAX_STEPS):
+    for iteration in range(_MAX_STEPS):
         p_now, R_now, J = chain.forward(q[active])
         z_now = R_now[:, :, 2]
         turn = np.cross(z_now, z[active])
@@ -86,6 +91,8 @@ def solve_tool_axis(chain: Chain, p: Array, z: Array, start: Array) -> tuple[Arr
         error = np.concatenate([p[active] - p_now, _ANGLE_WEIGHT * turn], axis=1)
         size = np.linalg.norm(error, axis=1)
         done = size < _CONVERGED
+        if rest is not None and iteration < _RESTING_STEPS:
+            done[:] = False
         converged[active[done]] = True
         active, J, z_now, error, size = active[~done], J[~done], z_now[~done], error[~done], size[~done]
         if len(active) == 0:
@@ -95,6 +102,10 @@ def solve_tool_axis(chain: Chain, p: Array, z: Array, start: Array) -> tuple[Arr
         # damping fades with the error: safe far away, quadratic convergence close by
         JJ = J @ J.swapaxes(1, 2) + damping * np.minimum(1.0, size)[:, None, None] + 1e-12 * np.eye(6)
         step = np.einsum("nij,ni->nj", J, np.linalg.solve(JJ, error[:, :, None])[:, :, 0])
+        if rest is not None and iteration < _RESTING_STEPS:
+            drawn = _REST_GAIN * (rest[active] - q[active])
+            moved = np.einsum("nij,nj->ni", J, drawn)
+            step += drawn - np.einsum("nij,ni->nj", J, np.linalg.solve(JJ, moved[:, :, None])[:, :, 0])
         largest = np.abs(step).max(axis=1)
         q[active] += step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None]
     return q, converged

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..cell import Cell
+from ..cell.surface import distance_along
 from ..errors import PlanError
-from ..surface import distance_along
 from ..typing import Array, IntArray
 from .blocks import (
     condition_number,

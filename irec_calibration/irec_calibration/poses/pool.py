@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..cell import Cell
+from ..cell.surface import SurfacePoints
 from ..errors import PlanError
 from ..robot import Kinematics
-from ..surface import SurfacePoints
 from ..typing import Array, BoolArray, IntArray
 from .ik import Chain, solve_pose, solve_tool_axis, wrap_into_limits
 
@@ -144,7 +144,7 @@ def _engage(cell: Cell, checker: Checker, points: SurfacePoints, rng: np.random.
         start = np.clip(start, lowest, highest)
         at = _rail_guess(cell, points.p[todo], rng)
         wanted = points.p[todo] - cell.base_in_cell(at)
-        found, converged = solve_tool_axis(checker.chain, wanted, -points.normal[todo], start)
+        found, converged = solve_tool_axis(checker.chain, wanted, -points.normal[todo], start, rest=_rest(cell, start, attempt))
         found = wrap_into_limits(found, cell.robot.lower, cell.robot.upper, checker.chain.is_prismatic)
         reached, seen_by, kin = checker.check(found, converged, at, points.normal[todo])
         better = reached > level[todo]
@@ -168,6 +168,16 @@ def _slips(forces_in_tool: Array, friction: float) -> bool:
 def _start_range(cell: Cell) -> tuple[Array, Array]:
     lower, upper = cell.robot.lower, cell.robot.upper
     return np.maximum(lower, -np.pi) + cell.joint_margin, np.minimum(upper, np.pi) - cell.joint_margin
+
+
+def _rest(cell: Cell, start: Array, attempt: int) -> Array | None:
+    """Where a redundant robot (seven axes and more) is drawn to while its tool stays: HOME, then the middle, then the start."""
+    if cell.robot.n_joints <= 6:
+        return None  # what is free, the rotation about tool z, is left to chance
+    if attempt % 3 == 2:
+        return start
+    lower, upper = _start_range(cell)
+    return np.tile(cell.home if attempt % 3 == 0 else 0.5 * (lower + upper), (len(start), 1))
 
 
 def _rail_guess(cell: Cell, p_in_cell: Array, rng: np.random.Generator) -> Array:
@@ -199,7 +209,7 @@ class Checker:
         base = cell.base_in_cell(rail)
         margin = np.where(kin.is_prismatic, 0.0, cell.joint_margin)
         inside = ((q >= robot.lower + margin) & (q <= robot.upper - margin)).all(axis=1)
-        station, visible = self._line_of_sight(kin, base, normal)
+        station, visible = self.line_of_sight(kin, base, normal)
         failures = {
             "torque": self._overloaded(q, kin),
             "line_of_sight": ~visible,
@@ -276,7 +286,7 @@ class Checker:
         near = self._tooling.query(beads)[0] < cell.arm_radius + cell.clearance
         return touches | near.any(axis=(0, 2))
 
-    def _line_of_sight(self, kin: Kinematics, base: Array, normal: Array) -> tuple[IntArray, BoolArray]:
+    def line_of_sight(self, kin: Kinematics, base: Array, normal: Array) -> tuple[IntArray, BoolArray]:
         marker = kin.p_tcp + base + kin.R_tool @ self.cell.marker_in_tool
         hull, (a, b) = self._hull(kin, base), self._arm(kin, base)
         elevation = np.full((len(self.cell.stations), len(base)), -1.0)

@@ -26,6 +26,7 @@ import numpy as np
 import yaml
 
 from ..errors import PlanError
+from ..files import Document, read_document
 from ..typing import Array
 
 FORMAT = "irec-poses/1"
@@ -91,28 +92,19 @@ def read_poses(path: str | Path, serial: str | None = None, urdf_sha256: str | N
         serial, urdf_sha256: where given, of the robot that is to drive to these poses.
 
     Raises:
-        PlanError: not a pose file, a wrong value, or poses of another robot; names file and pose.
+        PlanError: not a pose file, a wrong value, or poses of another robot; names file, line and pose.
     """
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PlanError(f"{path}: can't read the pose file: {error.strerror}; make one with irec plan") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise PlanError(f"{path}: not a YAML file: {error}") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        found = content.get("format") if isinstance(content, dict) else type(content).__name__
-        raise PlanError(f"{path}: format is {found!r}, this version reads {FORMAT}")
-    try:
-        robot = content["robot"]
-        names = tuple(str(name) for name in robot["joints"])
-        poses = tuple(_pose(path, i, entry, len(names)) for i, entry in enumerate(content["poses"]))
-        result = PoseList(
-            str(content["cell"]), str(robot["serial"]), str(robot["urdf_sha256"]), names, poses, content.get("plan", {})
-        )
-    except (KeyError, TypeError) as error:
-        raise PlanError(f"{path}: {error} is missing or of the wrong kind") from error
-    if len({pose.index for pose in poses}) != len(poses):
-        raise PlanError(f"{path}: a pose index occurs twice")
+    document = read_document(path, FORMAT, "pose file", PlanError, rules=(_consistent,))
+    content = document.data
+    robot = content["robot"]
+    result = PoseList(
+        content["cell"],
+        robot["serial"],
+        robot["urdf_sha256"],
+        tuple(robot["joints"]),
+        tuple(_pose(entry) for entry in content["poses"]),
+        content.get("plan") or {},
+    )
     if serial is not None and serial != result.serial:
         raise PlanError(f"{path}: planned for the robot {result.serial!r}, this one is {serial!r}; plan again")
     if urdf_sha256 is not None and urdf_sha256 != result.urdf_sha256:
@@ -120,25 +112,35 @@ def read_poses(path: str | Path, serial: str | None = None, urdf_sha256: str | N
     return result
 
 
-def _pose(path: str | Path, i: int, entry: dict[str, Any], n_joints: int) -> EngagementPose:
-    def numbers(key: str, length: int) -> Array:
-        try:
-            value = np.array(entry[key], dtype=float)
-        except (TypeError, ValueError):
-            value = np.array(np.nan)
-        if value.shape != (length,) or not np.isfinite(value).all():
-            raise PlanError(f"{path}: poses[{i}].{key} must be {length} finite numbers, is {entry[key]!r}")
-        return value
+def _consistent(document: Document) -> None:
+    """Lengths, indices and unit vectors."""
+    if not (document.sound("poses") and document.sound("robot")):
+        return
+    n = len(document.data["robot"]["joints"])
+    seen: dict[int, int] = {}
+    for i, pose in enumerate(document.data["poses"]):
+        if len(pose["joints"]) != n:
+            document.wrong(("poses", i, "joints"), f"has {len(pose['joints'])} values, robot.joints names {n}")
+        if int(pose["pose"]) in seen:
+            other = seen[int(pose["pose"])]
+            document.wrong(("poses", i, "pose"), f"is {pose['pose']} again (poses[{other}]); every pose has an index of its own")
+        seen[int(pose["pose"])] = i
+        for key in ("quat_tool0_in_base", "normal_in_base"):
+            length = float(np.linalg.norm(pose[key]))
+            if abs(length - 1.0) > 1e-3:
+                document.wrong(("poses", i, key), f"has length {length:.4f}, must have length 1")
 
+
+def _pose(entry: dict[str, Any]) -> EngagementPose:
     return EngagementPose(
         index=int(entry["pose"]),
-        q=numbers("joints", n_joints),
+        q=np.array(entry["joints"], dtype=float),
         ext={str(name): float(value) for name, value in (entry.get("ext") or {}).items()},
-        p_tool_in_base=numbers("p_tool0_in_base", 3),
-        quat_tool_in_base=numbers("quat_tool0_in_base", 4),
-        normal_in_base=numbers("normal_in_base", 3),
+        p_tool_in_base=np.array(entry["p_tool0_in_base"], dtype=float),
+        quat_tool_in_base=np.array(entry["quat_tool0_in_base"], dtype=float),
+        normal_in_base=np.array(entry["normal_in_base"], dtype=float),
         approach_distance=float(entry["approach_distance"]),
-        station=str(entry["station"]),
+        station=entry["station"],
     )
 
 

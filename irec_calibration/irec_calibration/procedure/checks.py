@@ -13,7 +13,9 @@ from ..errors import PlanError
 from ..poses.pool import REASONS, Checker
 from ..typing import Array
 from .settings import Settings
-from .settle import Window
+from .standstill import Window
+
+LARGEST_NUMBER = 2**31 - 1  # of a pose, in a message
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,9 @@ def plan_targets(cell: Cell, settings: Settings, q: Array, rail: Array, numbers:
     """
     if q.ndim != 2 or q.shape[1] != cell.robot.n_joints or len(rail) != len(q) or len(numbers) != len(q):
         raise PlanError(f"poses have shape {q.shape}; the robot {cell.robot.name} has {cell.robot.n_joints} joints")
+    for number in numbers:
+        if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= LARGEST_NUMBER:
+            raise PlanError(f"a pose is numbered {number!r}; whole numbers from 1 to {LARGEST_NUMBER} are needed")
     if len(set(numbers)) != len(numbers):
         raise PlanError(f"a pose number is there twice: {sorted(n for n in numbers if numbers.count(n) > 1)[0]}")
     kin = cell.robot.kinematics(q)
@@ -102,5 +107,6 @@ def contact_problem(window: Window, reference: Window, R_tool_in_station: Array,
     way = float(np.hypot(moved[0], moved[1]))
     if way > settings.settling.slip_m:
         limit = settings.settling.slip_m
-        return f"the contact slipped: the marker moved {way * 1e3:.2f} mm along the surface, limit {limit * 1e3:.2f} mm"
+        moved_by = f"{way * 1e3:.2f} mm along the surface, limit {limit * 1e3:.2f} mm"
+        return f"the contact slipped, or the tracker jumped: the marker moved by {moved_by}"
     return ""

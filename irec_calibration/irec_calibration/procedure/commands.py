@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..typing import Array
-from .settle import Window
+from .standstill import Window
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class SwitchMode:
 
 @dataclass(frozen=True)
 class ForceSetpoint:
-    """Environment on robot, in tool0, (3,), N."""
+    """Environment on robot, in tool0, (3,), N. It is a lease: sent again and again while the robot is to press."""
 
     force_in_tool: Array
 

@@ -14,14 +14,17 @@ import numpy as np
 from .. import __version__
 from ..cell import LOAD_CASE_NAMES, Cell, Section
 from ..errors import SessionError
+from ..files.yaml_text import YamlProblem, parse_yaml
 from ..recording import BagReader, BagWriter, TypeCatalogue
 from ..session import record_message
 from ..session.header import FORMAT
 from ..session.mcap_io import attach_session
 
+ORDER = "for each pose and repeat: numpy.random.default_rng([seed, pose, repeat]).permutation(number of load cases) + 1"
 
-def session_header(cell: Cell, name: str) -> dict[str, Any]:
-    """Content of session.yaml for a run in a cell."""
+
+def session_header(cell: Cell, name: str, order_seed: int | None = None) -> dict[str, Any]:
+    """Content of session.yaml for a run in a cell; order_seed: see Procedure."""
     sensor = Section(cell.path, "", cell.raw).section("force_sensor")
     header: dict[str, Any] = {
         "format": FORMAT,
@@ -35,6 +38,10 @@ def session_header(cell: Cell, name: str) -> dict[str, Any]:
         "load_case_names": dict(enumerate(LOAD_CASE_NAMES, 1)),
         "sensor_axis_in_tool": [float(v) for v in sensor.vector("axis_in_tool0", 3)],
     }
+    if cell.raw["tool"].get("name"):
+        header["tool"] = str(cell.raw["tool"]["name"])
+    if order_seed is not None:
+        header["load_case_order"] = {"seed": order_seed, "drawn": ORDER}
     if cell.payload.mass > 0.0:
         header["payload"] = {"mass": cell.payload.mass, "com": [float(v) for v in cell.payload.com]}
     if cell.rail is not None:
@@ -50,6 +57,8 @@ class SessionRecorder:
         parameters: of the node, for the record.
         resume: copy what `path` holds already, then go on.
 
+        order_seed: draws the order of the load cases; that of the earlier part goes on where there is one.
+
     Attributes:
         done: (pose, repeat) that are complete already.
         time_offset: s that the new part begins after the session's beginning.
@@ -59,13 +68,17 @@ class SessionRecorder:
     """
 
     def __init__(
-        self, path: Path, cell: Cell, parameters: dict[str, Any], catalogue: TypeCatalogue | None = None, resume: bool = False
-    ) -> None:
-        self.path = path
+        self, path: Path, cell: Cell, parameters: dict[str, Any], catalogue: TypeCatalogue | None = None, resume: bool = False,
+        order_seed: int | None = None,
+    ) -> None:  # fmt: skip
+        self.path, self.order_seed = path, order_seed
         if resume and not path.is_file():
             raise SessionError(f"{path}: there is no recording to go on with; start a new run")
         if not resume and path.exists():
             raise SessionError(f"{path}: exists already; name another file, or ask to resume it")
+        old = BagReader(path) if resume else None
+        if old is not None:
+            self.order_seed = _seed_of(old, order_seed)
         self.done: set[tuple[int, int]] = set()
         self.time_offset = 0.0
         self.losses: list[str] = []
@@ -78,9 +91,14 @@ class SessionRecorder:
             "parameters.json": json.dumps(parameters, indent=1, sort_keys=True, default=str),
             "versions.json": json.dumps(versions, indent=1),
         }
-        attach_session(self.bag, session_header(cell, path.stem), cell.robot.urdf_text, files)
-        if resume:
-            self._copy(BagReader(path), cell)
+        attach_session(self.bag, session_header(cell, path.stem, self.order_seed), cell.robot.urdf_text, files)
+        if old is not None:
+            try:
+                self._copy(old, cell)
+            except Exception:  # what was recorded so far stays as it is
+                self.bag.close()
+                target.unlink(missing_ok=True)
+                raise
             os.replace(target, path)
             self.bag.path = path
         self._rows = self.bag.add_topic(record_message.TOPIC, record_message.TYPE)
@@ -92,18 +110,23 @@ class SessionRecorder:
             channel = self.bag.add_topic(message.topic.name, message.topic.type_name)
             self.bag.write(channel, message.data, message.log_time, message.publish_time)
             if message.topic.name == record_message.EVENT_TOPIC:
-                event = json.loads(old.decode(message).data)
-                if event["kind"] == "complete":
-                    self.done.add((int(event["pose"]), int(event["repeat"])))
+                self.done |= self._completed(old.decode(message).data)
             elif message.topic.name == record_message.TOPIC:
                 last = max(last, float(old.decode(message).time))
         self.losses = list(old.losses)
-        before = old.attachments.get("robot.urdf", b"").decode()
+        before = old.attachments.get("robot.urdf", b"").decode("utf-8", "replace")
         if before != cell.robot.urdf_text:
-            self.bag.close()
-            self.bag.path.unlink(missing_ok=True)
             raise SessionError(f"{self.path}: was recorded with another robot description; start a new run")
         self.time_offset = last + 1.0 if last else 0.0
+
+    def _completed(self, text: str) -> set[tuple[int, int]]:
+        """Pose and repeat that an event says are complete, or nothing. Raises SessionError: it is no event of ours."""
+        try:
+            event = json.loads(text)
+            return {(int(event["pose"]), int(event["repeat"]))} if event["kind"] == "complete" else set()
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            problem = f"{self.path}: an event in it can't be read ({error}); start a new run under another name"
+            raise SessionError(" ".join(problem.split())) from error
 
     def write_row(self, data: bytes, log_time: int) -> None:
         """One serialized LoadCaseRecord."""
@@ -124,3 +147,13 @@ class SessionRecorder:
     def close(self) -> None:
         """Finish the file. RecordingError if not everything could be written."""
         self.bag.close()
+
+
+def _seed_of(old: BagReader, new: int | None) -> int | None:
+    """The seed of an earlier part of a run; a new one where it has none."""
+    next(old.messages(), None)  # attachments are read on the way to the first message
+    try:
+        header = parse_yaml(old.attachments.get("session.yaml", b"").decode())[0]  # refuses aliases that explode
+        return int(header["load_case_order"]["seed"])
+    except (YamlProblem, KeyError, TypeError, ValueError, OverflowError):
+        return new

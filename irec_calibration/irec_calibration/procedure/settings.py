@@ -12,6 +12,8 @@ from ..errors import CellError
 from ..typing import Array
 from .table import STATES
 
+MOST_REPEATS = 1000
+
 
 @dataclass(frozen=True)
 class Settling:
@@ -42,6 +44,8 @@ class Settings:
         friction: largest ratio of lateral to normal force, safety included.
         timeouts: state -> s. skip_limit: share of the poses that may fail.
         workspace: lower and upper corner (2, 3) of the box that the TCP may be in, cell frame, m.
+        reference_distance: m from the reference to contact.
+        operator_at_robot: somebody stands at the emergency stop, so that a driver without dead man's switch may press.
     """
 
     home_speed: float
@@ -56,6 +60,8 @@ class Settings:
     timeouts: dict[str, float]
     skip_limit: float
     workspace: Array
+    reference_distance: float = 0.003
+    operator_at_robot: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,11 +91,15 @@ def read_settings(cell: Cell) -> Settings:
     top = Section(cell.path, "", cell.raw)
     s = top.section("procedure")
     s.only(
-        "home_speed", "linear_speed", "window_s", "settling", "min_samples", "force_abort_n", "repeats", "timeouts", "skip_limit"
-    )
+        "home_speed", "linear_speed", "window_s", "settling", "min_samples", "force_abort_n", "repeats", "timeouts", "skip_limit",
+        "operator_at_robot",
+    )  # fmt: skip
+    stands_there = s.get("operator_at_robot") if "operator_at_robot" in s else False
+    if not isinstance(stands_there, bool):
+        raise CellError(f"{cell.path}: procedure.operator_at_robot is {stands_there!r}; true or false is needed")
     still = s.section("settling")
     still.only("force_n", "force_drift_n", "marker_drift_m", "marker_std_m", "slip_m")
-    timed = [state.name for state in STATES.values() if state.otherwise]
+    timed = [state.name for state in STATES.values() if state.otherwise and not state.timeout]
     timeouts = s.section("timeouts")
     timeouts.only(*timed)
     sensor = top.section("force_sensor")
@@ -109,10 +119,12 @@ def read_settings(cell: Cell) -> Settings:
         force_abort_n=s.number("force_abort_n", 1.0),
         sensor_range_n=sensor.number("range_n", 1.0),
         friction=cell.friction,
-        repeats=int(s.number("repeats", 1, 1000)),
+        repeats=int(s.number("repeats", 1, MOST_REPEATS)),
         timeouts={state: timeouts.number(state, 0.1, 86400.0) for state in timed},
         skip_limit=s.number("skip_limit", 0.0, 1.0),
         workspace=workspace,
+        reference_distance=cell.reference_distance,
+        operator_at_robot=stands_there,
     )
     _check_loads(cell, settings)
     return settings

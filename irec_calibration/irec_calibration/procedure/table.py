@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Procedure 1 as one table, to be read beside the 27 lines of the paper.
 
-`lines` are the lines of Procedure 1; `enter` is the method of `Procedure` that runs once on entry; `leave` lists (guard, next
-state), the first guard that holds wins; `otherwise` is what a timeout or a failed command leads to:
+`lines` are the lines of Procedure 1; `enter` is the function of entries.py that runs once on entry; `leave` lists (guard of
+guards.py, next state), the first guard that holds wins; `otherwise` is what a timeout or a failed command leads to:
 
     stop          end the run; the robot is taken out of contact first
     skip_pose     give this pose up: position control, retract, next pose
     next_pose     give this pose up while still away from the surface
     next_case     give this load case up, its rows are not recorded, and go on with the next one
     failed        the robot does not obey: end the run and say so
+
+A run takes the robot as it finds it: `position_first` and `withdraw` leave a contact before anything else is asked.
 """
 
 from __future__ import annotations
@@ -18,13 +20,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class State:
-    """One row of the table; `otherwise` is empty for states that are left at once or by the operator only."""
+    """One row of the table; `otherwise` is empty for states that are left at once or by the operator only.
+
+    `timeout` names the state whose time-out of the cell file goes for this one; empty: its own.
+    """
 
     name: str
     lines: str
     enter: str
     otherwise: str
     leave: tuple[tuple[str, str], ...]
+    timeout: str = ""
 
 
 STATES = {
@@ -33,12 +39,18 @@ STATES = {
         # fmt: off
         #     state             lines     on entry               else            left when -> for
         State("idle",           "1-2",    "nothing",             "",             (("nothing_to_do", "finished"),
-                                                                                  ("started", "home"))),
+                                                                                  ("started", "position_first"))),
+        State("position_first", "-",      "switch_to_position",  "failed",       (("switched_from_contact", "withdraw"),
+                                                                                  ("switched_and_ending", "finished"),
+                                                                                  ("switched", "home")), "position_mode"),
+        State("withdraw",       "-",      "move_out",            "failed",       (("moved_and_ending", "finished"),
+                                                                                  ("moved", "home")), "retract"),
         State("home",           "3-4",    "move_home",           "stop",         (("moved", "approach"),)),
         State("approach",       "5",      "move_to_approach",    "next_pose",    (("moved", "advance"),)),
         State("advance",        "6-7",    "move_to_reference",   "skip_pose",    (("moved", "reference"),)),
         State("reference",      "8-9",    "begin_window",        "skip_pose",    (("stands_still", "force_mode"),)),
-        State("force_mode",     "10-11",  "record_and_switch",   "skip_pose",    (("switched", "establish"),)),
+        State("force_mode",     "10-11",  "record_and_switch",   "skip_pose",    (("switched", "contact"),)),
+        State("contact",        "12",     "ask_for_contact",     "skip_pose",    (("force_is_near", "establish"),), "establish"),
         State("establish",      "12-13",  "ask_for_force",       "next_case",    (("force_is_near", "settle"),)),
         State("settle",         "13",     "begin_window",        "next_case",    (("stands_still", "record"),)),
         State("record",         "14-21",  "record_row",          "",             (("always", "next_case"),)),
@@ -55,4 +67,6 @@ STATES = {
         # fmt: on
     )
 }
-NEAR_CONTACT = ("advance", "reference", "force_mode", "establish", "settle", "record", "next_case", "position_mode", "retract")
+NEAR_CONTACT = ("advance", "reference", "force_mode", "contact", "establish", "settle", "record", "next_case", "position_mode",
+                "retract")  # fmt: skip
+PRESSING = ("contact", "establish", "settle", "record", "next_case")  # a force set point is renewed

@@ -23,6 +23,7 @@ PRIMITIVES = frozenset(
 )
 _SEPARATOR = "=" * 80
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9]*")
+_EVENT = re.compile(r"([a-z][a-z0-9_]*)/srv/([A-Za-z][A-Za-z0-9]*)_Event")  # what a service with introspection publishes
 
 
 def share_of_prefixes(package: str) -> Path:
@@ -48,18 +49,47 @@ class TypeCatalogue:
     def definition(self, type_name: str) -> str:
         """Concatenated definition (schema encoding ros2msg) of `package/msg/Type`."""
         if type_name not in self._definitions:
-            self._definitions[type_name] = self._collect(type_name)
+            event = _EVENT.fullmatch(type_name)
+            self._definitions[type_name] = self._collect_event(event[1], event[2]) if event else self._collect(type_name)
         return self._definitions[type_name]
 
     def type_hash(self, type_name: str) -> str:
         """RIHS01 hash of the type as in `ros2 topic info --verbose`; empty where the package installs none."""
-        path = self._file(type_name, ".json")
+        event = _EVENT.fullmatch(type_name)
+        path = self._share(event[1]) / "srv" / f"{event[2]}.json" if event else self._file(type_name, ".json")
         if not path.is_file():
             return ""
         for entry in json.loads(path.read_text(encoding="utf-8")).get("type_hashes", []):
             if entry.get("type_name") == type_name:
                 return str(entry["hash_string"])
         return ""
+
+    def _collect_event(self, package: str, service: str) -> str:
+        """Definition of the event of a service: who called, and request or reply, as rosbag2 stores it."""
+        path = self._share(package) / "srv" / f"{service}.srv"
+        if not path.is_file():
+            raise RecordingError(f"{path} is missing; install the interface package of {package}/srv/{service}")
+        request, _, reply = path.read_text(encoding="utf-8").partition("---")
+        parts = {
+            f"{package}/srv/{service}_Event": "service_msgs/msg/ServiceEventInfo info\n"
+            f"{package}/srv/{service}_Request[<=1] request\n{package}/srv/{service}_Response[<=1] response\n",
+            f"{package}/srv/{service}_Request": request.strip() + "\n",
+            f"{package}/srv/{service}_Response": reply.strip() + "\n",
+        }
+        names = list(parts)
+        used = dict.fromkeys(["service_msgs/msg/ServiceEventInfo"])
+        for text in (parts[names[1]], parts[names[2]]):
+            used |= dict.fromkeys(_types_in(text, package))
+        out = parts[names[0]] + "".join(f"{_SEPARATOR}\nMSG: {name}\n{parts[name]}" for name in names[1:])
+        seen: set[str] = set()
+        for name in used:
+            text = f"MSG: {name.replace('/msg/', '/')}\n{self.definition(name)}"
+            for block in re.split(rf"^{_SEPARATOR}\n", text, flags=re.MULTILINE):
+                head = block.split("\n", 1)[0]
+                if head not in seen:
+                    seen.add(head)
+                    out += f"{_SEPARATOR}\n{block}"
+        return out
 
     def _file(self, type_name: str, suffix: str) -> Path:
         if not _TYPE.fullmatch(type_name):

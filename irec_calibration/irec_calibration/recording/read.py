@@ -15,16 +15,20 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
-import yaml
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.stream_reader import get_chunk_data_stream
 from mcap_ros2.decoder import DecoderFactory
 
 from ..errors import RecordingError
+from ..files import one_line, read_text
+from ..files.yaml_text import YamlProblem, parse_yaml
+from .unpack import check_definition, unpacked
 
 MAGIC = b"\x89MCAP0\r\n"
+LARGEST_RECORD = 512 * 1024 * 1024  # bytes
+_MOST_LOSSES = 200  # sentences
+_MOST_UNKNOWN = 1000  # records of one chunk that MCAP 0 does not define
 _PREFIX = 9  # bytes before the content of a record: opcode and length
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 Progress = Callable[[int, int], None]
@@ -74,6 +78,7 @@ class BagReader:
         self.losses: list[str] = []
         self.expected: dict[str, int] | None = None
         self._decoders = DecoderFactory()
+        self._checked: set[str] = set()
 
     def messages(self, topics: Collection[str] | None = None, progress: Progress | None = None) -> Iterator[RawMessage]:
         """Messages in the order of the file, all topics or those named; progress(bytes read, bytes in all) per chunk."""
@@ -90,6 +95,9 @@ class BagReader:
         """The message as an object with the fields of its type. RecordingError where the definition does not fit."""
         topic = message.topic
         try:
+            if topic.name not in self._checked and topic.schema is not None:
+                check_definition(topic.schema.data)
+                self._checked.add(topic.name)
             decoder = self._decoders.decoder_for(topic.message_encoding, topic.schema)
             if decoder is None:
                 encoding = topic.schema.encoding if topic.schema else "none"
@@ -102,8 +110,10 @@ class BagReader:
             raise
         except Exception as error:  # the decoder is generated from the file's own text and may fail in any way
             raise RecordingError(
-                f"{self.path}: message {message.sequence} of {topic.name} at {message.log_time / 1e9:.9f} s "
-                f"is no {topic.type_name} ({error})"
+                one_line(
+                    f"{self.path}: message {message.sequence} of {topic.name} at {message.log_time / 1e9:.9f} s "
+                    f"is no {topic.type_name} ({error})"
+                )[:1000]
             ) from error
 
 
@@ -116,11 +126,7 @@ def _files_of(path: Path) -> tuple[Path, ...]:
         raise RecordingError(f"{path} does not exist")
     index = path / "metadata.yaml"
     if index.is_file():
-        try:
-            information = yaml.safe_load(index.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-            names = [str(name) for name in information["relative_file_paths"]]
-        except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError) as error:
-            raise RecordingError(f"{index} is no metadata of a rosbag2 folder ({error}); remove it to read without") from error
+        names = _names_in(index)
         missing = [name for name in names if not (path / name).is_file()]
         if missing:
             raise RecordingError(f"{index} names {missing[0]}, which is not there; restore it or remove metadata.yaml")
@@ -131,6 +137,22 @@ def _files_of(path: Path) -> tuple[Path, ...]:
     if not files:
         raise RecordingError(f"{path} holds no .mcap file")
     return files
+
+
+def _names_in(index: Path) -> list[str]:
+    """The files that a metadata.yaml names: plain names beside it, never a path that leads elsewhere."""
+    try:
+        data, _ = parse_yaml(read_text(index, "metadata of a rosbag2 folder", RecordingError))
+    except YamlProblem as error:
+        raise RecordingError(f"{index}:{error.line}: {error.text}; remove the file to read without") from None
+    information = data.get("rosbag2_bagfile_information") if isinstance(data, dict) else None
+    names = information.get("relative_file_paths") if isinstance(information, dict) else None
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) and name for name in names):
+        raise RecordingError(f"{index} is no metadata of a rosbag2 folder (relative_file_paths); remove it to read without")
+    for name in names:
+        if Path(name).name != name or not name.isprintable():
+            raise RecordingError(one_line(f"{index} names {name!r}; only files beside it are read: correct relative_file_paths"))
+    return [str(name) for name in names]
 
 
 def _shifted(progress: Progress, before: int, total: int) -> Progress:
@@ -150,7 +172,11 @@ class _File:
     def read(self, progress: Progress | None) -> Iterator[RawMessage]:
         size = self.path.stat().st_size
         with open(self.path, "rb") as stream:
-            if stream.read(len(MAGIC)) != MAGIC:
+            try:
+                signature = stream.read(len(MAGIC))
+            except OSError as error:
+                raise RecordingError(f"{self.path} can't be read: {error.strerror}") from error
+            if signature != MAGIC:
                 raise RecordingError(f"{self.path} is not MCAP: it does not begin with the MCAP signature")
             while not self.finished:
                 at = stream.tell()
@@ -161,6 +187,8 @@ class _File:
                     return
                 self._span = ""
                 try:
+                    if length > LARGEST_RECORD:
+                        raise ValueError(f"more than {LARGEST_RECORD} bytes")
                     yield from self._record(head[0], stream, length)
                 except Exception as error:  # whatever parser and decompressor make of damaged bytes
                     kind = "chunk" if head[0] == Opcode.CHUNK else "record"
@@ -189,14 +217,19 @@ class _File:
         """Messages of one chunk; of a chunk that is damaged nothing."""
         chunk = records.Chunk.read(ReadDataStream(BytesIO(content)))
         self._span = _span(chunk.message_start_time, chunk.message_end_time)
-        data, size = get_chunk_data_stream(chunk)
-        plain = data.read(size)
+        plain = unpacked(chunk)
         if chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:
             raise ValueError("its checksum does not match")
-        place = 0
-        while place < size:
+        place, size, unknown = 0, len(plain), 0
+        while place + _PREFIX <= size:
             opcode, length = plain[place], int.from_bytes(plain[place + 1 : place + _PREFIX], "little")
             place += _PREFIX
+            if place + length > size:
+                raise ValueError(f"a record of {length} bytes begins {size - place} bytes before its end")
+            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                unknown += 1
+                if opcode == 0 or unknown > _MOST_UNKNOWN:
+                    raise ValueError(f"it holds records of kind {opcode}, which no chunk has")
             yield from self._small(opcode, plain[place : place + length])
             place += length
 
@@ -247,7 +280,11 @@ class _File:
         self._lost(f"it is cut at byte {size}: the last {size - at} bytes{detail} are part of a record and lost; {missing}")
 
     def _lost(self, sentence: str) -> None:
-        self.bag.losses.append(f"{self.path.name}: {sentence}")
+        losses = self.bag.losses
+        if len(losses) < _MOST_LOSSES:
+            losses.append(one_line(f"{self.path.name}: {sentence}")[:1000])
+        elif len(losses) == _MOST_LOSSES:
+            losses.append(f"{self.path.name}: and more, which are not listed")
 
 
 def _span(first: int, last: int) -> str:

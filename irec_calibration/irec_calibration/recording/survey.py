@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import RecordingError
 from ..typing import Array
 from .read import BagReader, RawMessage, Topic
 
@@ -17,6 +18,14 @@ GAP_FACTOR = 3.0  # an interval this many times the usual one is a gap
 BURST_FACTOR = 5.0  # a mean interval this many times the median one means that messages come in bursts
 SAME_CLOCK = 3600.0  # s; stamps further from the log time than this come from another clock
 _LARGEST_GAPS = 5
+# Hz, by message type: below the first a window of the procedure (0.4 s) has too few readings; the second is what a driver
+# of the correction delivers
+NEEDED_RATES = {
+    "sensor_msgs/msg/JointState": (50.0, 100.0),
+    "geometry_msgs/msg/WrenchStamped": (100.0, 250.0),
+    "geometry_msgs/msg/PointStamped": (50.0, 100.0),
+    "geometry_msgs/msg/PoseStamped": (50.0, 100.0),
+}
 
 
 @dataclass(frozen=True)
@@ -102,7 +111,7 @@ def survey(bag: BagReader, progress: Callable[[int, int], None] | None = None) -
             entry = series[message.topic.name] = _Series(message.topic, _begins_with_header(message.topic), message)
         entry.log.append(message.log_time)
         if entry.header_stamp:
-            entry.stamp.append(_header_stamp(message.data))
+            entry.stamp.append(_header_stamp(message.data) if len(message.data) >= 12 else message.log_time)
     start = min((entry.log[0] for entry in series.values()), default=0)
     end = max((max(entry.log) for entry in series.values()), default=0)
     expected = bag.expected or {}
@@ -112,6 +121,7 @@ def survey(bag: BagReader, progress: Callable[[int, int], None] | None = None) -
             absent = expected.get(name, 0)
             topics.append(TopicSurvey(name, topic.type_name, 0, False, 0.0, 0.0, (), 0, False, 0, 0, None, absent))
     present, lacking = _for_a_session(bag, series)
+    lacking += _slow(topics)
     return Survey(
         path=str(bag.path),
         files=tuple(file.name for file in bag.files),
@@ -176,6 +186,21 @@ def _survey_topic(entry: _Series, start: int, expected: int | None) -> TopicSurv
     )
 
 
+def _slow(topics: list[TopicSurvey]) -> list[str]:
+    """A sentence for each topic that comes too seldom for what it is needed for."""
+    out = []
+    for topic in topics:
+        least, usual = NEEDED_RATES.get(topic.type_name, (0.0, 0.0))
+        if topic.count > 2 and topic.rate < least:
+            out.append(
+                f"rate: {topic.name} comes at {topic.rate:.1f} Hz; the procedure needs {least:g} Hz, a driver gives {usual:g} Hz"
+                " (a session of standing poses can be made from less)"
+            )
+        elif topic.type_name == "geometry_msgs/msg/WrenchStamped" and topic.count > 2 and topic.rate < 0.9 * usual:
+            out.append(f"rate: {topic.name} comes at {topic.rate:.1f} Hz; the live correction needs {usual:g} Hz")
+    return out
+
+
 def _for_a_session(bag: BagReader, series: dict[str, _Series]) -> tuple[list[str], list[str]]:
     """What of a calibration session is there and what is not, one sentence each, by message type and not by topic name."""
     present: list[str] = []
@@ -193,9 +218,16 @@ def _for_a_session(bag: BagReader, series: dict[str, _Series]) -> tuple[list[str
         return names
 
     for name in note("sensor_msgs/msg/JointState", "joint angles", "joint angles: no sensor_msgs/JointState"):
-        joints = list(bag.decode(series[name].first).name)
+        try:
+            joints = [str(joint) for joint in bag.decode(series[name].first).name]
+        except (RecordingError, AttributeError, TypeError) as error:
+            lacking.append(f"joint angles that can be read: {error}")
+            continue
         if not any(joint == "joint_1" for joint in joints):
-            lacking.append(f"{name} names its joints {', '.join(joints)}; a session calls them joint_1 to joint_n")
+            lacking.append(
+                f"{name} names its joints {', '.join(joints)}; a session calls them joint_1 to joint_n: "
+                "list them from base to tool in the mapping file (joints: names) or as robot.joint_names of session.yaml"
+            )
     note(
         "geometry_msgs/msg/PointStamped",
         "marker positions",

@@ -150,6 +150,12 @@ class BagWriter:
 
     def write_bag_metadata(self) -> Path:
         """metadata.yaml (version 9) beside the closed file: the folder is then a bag that `ros2 bag` opens."""
+        target = self.path.with_name("metadata.yaml")
+        target.write_text(self._metadata_text(root=True), encoding="utf-8")
+        return target
+
+    def _metadata_text(self, root: bool) -> str:
+        """What rosbag2 says about a recording (version 9); in metadata.yaml it stands below a root key."""
         duration = {"nanoseconds": self._last - self._first}
         start = {"nanoseconds_since_epoch": self._first}
         total = self.message_count
@@ -181,10 +187,7 @@ class BagWriter:
             "custom_data": None,
             "ros_distro": "jazzy",
         }
-        target = self.path.with_name("metadata.yaml")
-        text = yaml.dump({"rosbag2_bagfile_information": information}, Dumper=_Dumper, sort_keys=False)
-        target.write_text(text, encoding="utf-8")
-        return target
+        return yaml.dump({"rosbag2_bagfile_information": information} if root else information, Dumper=_Dumper, sort_keys=False)
 
     def _check(self) -> None:
         if self._error is not None:
@@ -199,6 +202,8 @@ class BagWriter:
                     self._drain()
             with self._lock:
                 self._drain()
+                # rosbag2 keeps the content of metadata.yaml in the file too, for readers that get only the file
+                self._writer.add_metadata("rosbag2", {"serialized_metadata": self._metadata_text(root=False)})
                 self._writer.finish()
         except Exception as error:
             self._error = error

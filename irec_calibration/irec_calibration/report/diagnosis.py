@@ -1,17 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report of a diagnosis: where the model fails, which effect is missing, what to measure next."""
+"""The report of a diagnosis: verdict, the one figure that shows it, what to do next; then the evidence."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ..diagnose.result import Candidate, Comparison, Diagnosis
-from ..effects import find_effect
+from ..diagnose.result import Candidate, Comparison, Diagnosis, View
+from ..effects import find_effect, known_effects
+from ..effects.scene import Scene, scene_of
+from ..identification.validation import ESTIMATOR
+from ..lengths import length
 from ..model import Estimate
 from ..session.data import Session
+from ..typing import Array
 from . import models, samples
+from .judgement import probability
+from .next_steps import after_diagnosis
 from .page import Figure, Page, Section, Table, write_page
 
 STATUS = {
@@ -20,82 +28,184 @@ STATUS = {
     "unexplained": "There is structure without a name",
 }
 SHOWN = 12
+MOST_AGAINST = 4
 
 
-def write_diagnosis_report(diagnosis: Diagnosis, session: Session, folder: Path) -> list[Path]:
-    """Write the figures and report.html into a folder; returns the files, the page first."""
-    where = _where(diagnosis, folder)
-    which = _which(diagnosis, folder)
-    compare = compare_section(diagnosis.comparison, session, folder)
+def write_diagnosis_report(
+    diagnosis: Diagnosis,
+    session: Session,
+    folder: Path,
+    *,
+    named: tuple[str, str] = ("", ""),
+    more: Sequence[Section] = (),
+) -> list[Path]:
+    """Write the figures and report.html into a folder; returns the files, the page first.
+
+    Args:
+        named: paths of session and model as the user typed them, for commands to copy.
+        more: sections to append.
+    """
+    v = diagnosis.verdict
+    hero = _hero(diagnosis, session, folder)
     page = Page(
-        title=f"{STATUS[diagnosis.verdict.status]}: {session.name}",
+        title=f"{STATUS[v.status]}: {session.name}",
         subtitle=f"Robot {session.serial or 'without serial'}, model {' + '.join(diagnosis.model.effects)}, "
         f"{len(session.poses)} poses, {len(diagnosis.comparison.rows)} samples",
-        verdict=diagnosis.verdict.text,
-        status=diagnosis.verdict.status,
-        sections=[compare, where, which, *_next(diagnosis), *_notes(diagnosis)],
+        verdict=v.text,
+        status=v.status,
+        hero=hero,
+        todo=after_diagnosis(diagnosis, named[0] or str(session.path or "SESSION"), named[1]),
+        sections=[
+            *_which(diagnosis, session, folder),
+            *_where(diagnosis, session, folder),
+            compare_section(diagnosis.comparison, session, folder),
+            *_next(diagnosis, session),
+            *_notes(diagnosis),
+            *more,
+        ],
     )
-    figures = [f.path for s in page.sections for f in s.figures]
+    figures = [hero.path, *(f.path for s in page.sections for f in s.figures)]
     return [write_page(page, folder / "report.html"), *figures]
+
+
+def _hero(d: Diagnosis, session: Session, folder: Path) -> Figure:
+    """The one figure that shows the verdict."""
+    v, floor = d.verdict, d.comparison.noise_floor_m
+    rows = [("model as it is", d.cv_rms_m if np.isfinite(d.cv_rms_m) else d.fit_rms_m, float("nan"))]
+    added = [label(c) for c in d.candidates if c.effect in v.effects]
+    if v.status == "missing_effect" and added and np.isfinite(d.cv_rms_after_m):
+        rows += [(f"with {' and '.join(added[:2])}{' ...' if len(added) > 2 else ''}", d.cv_rms_after_m, d.cv_rms_se_after_m)]
+        cause = " and ".join(find_effect(e).label for e in v.effects).capitalize()
+        title = f"{cause} {'take' if len(v.effects) > 1 else 'takes'} the error from {length(rows[0][1])} to {length(rows[1][1])}"
+    elif v.status == "unexplained":
+        title = f"The model leaves {length(rows[0][1])}, the noise explains {length(floor)}"
+    else:
+        title = "What the model leaves is what the noise explains" if v.status == "adequate" else "Error and noise"
+    return Figure(models.gap(rows, floor, folder / "verdict.png", title), f"{title}. Estimator: {ESTIMATOR}.")
 
 
 def compare_section(comparison: Comparison, session: Session, folder: Path) -> Section:
     """Predicted against measured, residual against noise."""
     rows = comparison.rows
-    figures = []
+    commanded = np.zeros((len(rows), 3))
     if session.kind == "loaded":
-        reference = session.reference_row()[rows]
-        commanded = session.p_tcp_in_base[rows] - session.p_tcp_in_base[reference]
-        figures.append(
-            Figure(
-                samples.norms_per_sample(
-                    commanded, comparison.residual, comparison.noise_floor_m, folder / "samples.png", poses=session.pose[rows]
-                ),
-                "Norm of the commanded displacement of the TCP and of the model's residual, sample by sample.",
-            )
-        )
-    figures += [
+        commanded = session.p_tcp_in_base[rows] - session.p_tcp_in_base[session.reference_row()[rows]]
+    loaded = session.kind == "loaded"
+    measured = comparison.measured if loaded else None
+    figures = [
+        Figure(
+            samples.norms_per_sample(
+                commanded,
+                comparison.residual,
+                comparison.noise_floor_m,
+                folder / "samples.png",
+                poses=session.pose[rows],
+                measured=measured,
+            ),
+            "What the controller commanded, what was measured beyond it, and what the model leaves of that, sample by sample."
+            if loaded
+            else "What the model leaves of each sample.",
+        ),
         Figure(
             samples.predicted_against_measured(comparison.measured, comparison.predicted, folder / "measured.png"),
             "Measured against predicted displacement of the marker; the line is agreement.",
         ),
         Figure(
-            samples.residual_maps(session.p_tcp_in_base[rows], [comparison.residual], ["residual"], folder / "map.png"),
-            "Residual vectors at the TCP positions, seen along the direction in which these extend least.",
+            samples.residual_maps(
+                session.p_tcp_in_base[rows],
+                [comparison.residual],
+                ["Residual"],
+                folder / "map.png",
+                poses=session.pose[rows],
+                on_surface=loaded,
+            ),
+            "Residual vectors at the TCP positions with the numbers of the poses, seen along the direction of least extent.",
         ),
     ]
     worst = sorted(comparison.by_pose.items(), key=lambda item: -item[1])[:SHOWN]
     return Section(
-        "Compare",
+        f"The model leaves {length(comparison.rms_m)}, the noise explains {length(comparison.noise_floor_m)}",
         [
-            f"The model leaves {_um(comparison.rms_m)} rms; the instruments' noise explains "
-            f"{_um(comparison.noise_floor_m)}, so that "
-            f"{_um(comparison.explainable_m)} could be explained by physics that the model lacks.",
+            f"{length(comparison.explainable_m)} could be explained by physics that the model lacks.",
             *comparison.notes,
         ],
         figures,
         [
-            Table(["load case", "residual rms [um]"], [[case, 1e6 * rms] for case, rms in comparison.by_load_case.items()]),
-            Table(["pose (worst first)", "residual rms [um]"], [[pose, 1e6 * rms] for pose, rms in worst]),
+            Table(["load case", "residual rms"], [[case, length(rms)] for case, rms in comparison.by_load_case.items()]),
+            Table(["pose (worst first)", "residual rms"], [[pose, length(rms)] for pose, rms in worst]),
         ],
     )
 
 
-def _where(diagnosis: Diagnosis, folder: Path) -> Section:
-    if not diagnosis.where:
-        return Section("Where", ["No view of the residual shows structure."])
-    shown = diagnosis.where[:SHOWN]
-    figure = models.views([w.view for w in shown], [w.share for w in shown], folder / "where.png")
-    rows = [[w.sentence, w.value, 1e6 * w.rms_m, 100 * w.share, w.p_value] for w in shown]
-    return Section(
-        "Where",
-        figures=[Figure(figure, "How much of the squared residual goes along with each view.")],
-        tables=[Table(["in words", "largest at", "rms there [um]", "share [%]", "p, corrected"], rows)],
+def _where(diagnosis: Diagnosis, session: Session, folder: Path) -> list[Section]:
+    significant = [w for w in diagnosis.where if w.shows]
+    against = _against(diagnosis, significant, session, folder)
+    quiet = len(diagnosis.where) - len(significant)
+    if not significant:
+        text = f"None of {quiet} views (load case, axis, angle, place, time, ...) shows structure in the residual."
+        return [Section("Where: no view shows structure", [text], against)]
+    shown = significant[:SHOWN]
+    heading = "Where the model fails" if diagnosis.verdict.status != "adequate" else "What the residual goes along with"
+    figures = [
+        Figure(
+            models.views([w.view for w in shown], [w.share for w in shown], folder / "where.png"),
+            "How much of the squared residual goes along with each view; views without a sign of it are not drawn.",
+        ),
+        *against,
+    ]
+    rows = [[w.sentence, length(w.rms_m), f"{100 * w.share:.0f} %", probability(w.p_value)] for w in shown]
+    text = f"{quiet} other views show no sign of structure." if quiet else ""
+    return [Section(heading, [text] if text else [], figures, [Table(["in words", "rms there", "share", "corrected p"], rows)])]
+
+
+def _against(d: Diagnosis, significant: Sequence[View], session: Session, folder: Path) -> list[Figure]:
+    """The residual against each variable that it depends on."""
+    wanted = list(
+        dict.fromkeys([*d.verdict.depends_on, *(w.view.split(" ")[-1] if "tau_" in w.view else w.view for w in significant)])
     )
+    out: list[Figure] = []
+    known = variables(session)
+    for name in wanted:
+        name = name.removesuffix(" cubed")
+        if name in known and len(out) < MOST_AGAINST:
+            values, text = known[name]
+            path = folder / f"against_{re.sub(r'[^A-Za-z0-9_]+', '_', name)}.png"
+            c = d.comparison
+            out.append(
+                Figure(
+                    samples.residual_against(values[c.rows], c.residual, text, c.noise_floor_m, path),
+                    f"The residual along base x, y and z against {text.split(' [')[0]}; the band is the noise.",
+                )
+            )
+    return out
 
 
-def _which(diagnosis: Diagnosis, folder: Path) -> Section:
-    shown = diagnosis.candidates[:SHOWN]
+def variables(session: Session) -> dict[str, tuple[Array, str]]:
+    """Variables of a session that a residual may depend on: name -> values (n,), label with unit; angles in degrees."""
+    scene = scene_of(session)
+    out: dict[str, tuple[Array, str]] = {"stamp": (session.stamp, "time in the session [s]")}
+    revolute = ~scene.kin.is_prismatic
+    torque, of = scene.load_torque(), "process torque" if session.kind == "loaded" else "torque of weight and process"
+    for k in range(scene.n_joints):
+        q = session.q[:, k]
+        out[f"joint_{k + 1}"] = (np.degrees(q), f"angle of joint {k + 1} [deg]") if revolute[k] else (q, f"joint {k + 1} [m]")
+        out[f"tau_{k + 1}"] = (torque[:, k], f"{of} about axis {k + 1} [{'N m' if revolute[k] else 'N'}]")
+        step, turns = scene.step[:, k], bool(revolute[k])
+        out[f"step_{k + 1}"] = (np.degrees(step) if turns else step, f"step of joint {k + 1} [{'deg' if turns else 'm'}]")
+    out |= {f"ext_{n}": (v, f"external axis {n}") for n, v in session.ext.items()}
+    out |= {f"temp_{n}": (v, f"temperature {n} [degC]") for n, v in session.temperature.items()}
+    out |= {f"force_{a}": (session.force_in_tool[:, i], f"force along tool {a} [N]") for i, a in enumerate("xyz")}
+    out |= {f"tcp_{a}": (session.p_tcp_in_base[:, i], f"TCP along base {a} [m]") for i, a in enumerate("xyz")}
+    out["reach"] = (np.linalg.norm(session.p_tcp_in_base, axis=1), "reach [m]")
+    out["load_case"] = (session.load_case.astype(float), "load case")
+    return out
+
+
+def _which(diagnosis: Diagnosis, session: Session, folder: Path) -> list[Section]:
+    v = diagnosis.verdict
+    shown = sorted(diagnosis.candidates, key=lambda c: (c.effect not in v.effects, -c.log_evidence))[:SHOWN]
+    shown = [c for c in shown if np.isfinite(c.cv_rms_m)]
+    scene = scene_of(session)
     figures = []
     if shown:
         figures.append(
@@ -106,27 +216,59 @@ def _which(diagnosis: Diagnosis, folder: Path) -> Section:
                     [c.cv_rms_se_m for c in shown],
                     diagnosis.cv_rms_m,
                     diagnosis.comparison.noise_floor_m,
-                    [label(c) for c in shown if c.effect in diagnosis.verdict.effects],
+                    [label(c) for c in shown if c.effect in v.effects],
                     folder / "candidates.png",
                 ),
-                "Error on held-out poses with each effect added and everything refitted; green: named by the verdict.",
+                "A trial of each effect: error on held-out poses with it added and everything refitted, in the linear problem"
+                " about the model; `irec add` fits it exactly. Hatched: named by the verdict.",
             )
         )
     rows = [
         [
             label(c),
-            1e6 * c.cv_rms_m,
-            c.p_value,
-            "; ".join(f"{n} = {Estimate(**v)}" for n, v in list(c.parameters.items())[:4]),
-            "yes" if c.plausible else "no",
+            length(c.cv_rms_m),
+            probability(c.p_value),
+            "; ".join(f"{n} = {Estimate(**e)}" for n, e in list(c.parameters.items())[:3])
+            + (" ..." if len(c.parameters) > 3 else ""),
+            "yes" if c.plausible else f"no: {beyond(c, scene) or 'it was cut down to plausible values'}",
             ", ".join(c.confusable_with) or "-",
         ]
         for c in shown
     ]
-    header = ["effect", "held-out [um]", "p, corrected", "parameters", "plausible", "can't be told from"]
-    physics = [f"{find_effect(e).label}: {find_effect(e).physics}" for e in diagnosis.verdict.effects]
+    header = ["effect", "trial, held out", "corrected p", "parameters", "plausible", "can't be told from"]
+    known = known_effects()
+    physics = [f"{known[e].label.capitalize()}: {known[e].physics}" for e in v.effects if e in known]
     skipped = [f"Not tried: {', '.join(f'{e} ({why})' for e, why in diagnosis.skipped.items())}."] if diagnosis.skipped else []
-    return Section("Which", [*physics, *skipped], figures, [Table(header, rows)])
+    titles = {
+        "missing_effect": f"Which: {' and '.join(v.effects)}",
+        "adequate": "Which: no effect is needed",
+        "unexplained": "Which: none of the catalogue",
+    }
+    return [Section(titles[v.status], [*physics, *contradiction(shown, v.effects), *skipped], figures, [Table(header, rows)])]
+
+
+def contradiction(shown: Sequence[Candidate], named: Sequence[str]) -> list[str]:
+    """Why the verdict names another effect than the one with the smallest bar, where it does."""
+    chosen = [c for c in shown if c.effect in named]
+    if not chosen or not shown:
+        return []
+    best = min(shown, key=lambda c: c.cv_rms_m)
+    lead = min(chosen, key=lambda c: c.cv_rms_m)
+    if best.effect in named or best.cv_rms_m >= lead.cv_rms_m:
+        return []
+    apart = abs(best.cv_rms_m - lead.cv_rms_m)
+    error = float(np.hypot(best.cv_rms_se_m, lead.cv_rms_se_m))
+    return [
+        f"Why {lead.effect} is named although {best.effect} has the smaller bar: the bars differ by {length(apart)} (standard"
+        f" error {length(error)}), while the evidence weighs every sample, and in how many ways each effect was tried: it favours"
+        f" {lead.effect} by a factor of {_odds(lead.log_evidence - best.log_evidence)}."
+    ]
+
+
+def _odds(nats: float) -> str:
+    if nats > 14.0:
+        return "over a million"
+    return f"{np.exp(nats):,.0f}" if nats > 2.3 else f"{np.exp(nats):.1f}"
 
 
 def label(candidate: Candidate) -> str:
@@ -134,32 +276,29 @@ def label(candidate: Candidate) -> str:
     return candidate.effect + (f" ({', '.join(candidate.groups[:3])})" if candidate.groups else "")
 
 
-def _next(diagnosis: Diagnosis) -> list[Section]:
+def beyond(candidate: Candidate, scene: Scene) -> str:
+    """The first value of a candidate beyond what is physically likely, with its limit; empty where there is none."""
+    for p in candidate.term.effect.parameters(scene):
+        low, high = p.plausible_range
+        if p.name in candidate.term.estimates and not low <= (v := candidate.term.estimates[p.name].value) <= high:
+            return f"{p.name} = {v:.3g} {p.unit}, limit {low if v < low else high:.3g} {p.unit}"
+    return ""
+
+
+def _next(diagnosis: Diagnosis, session: Session) -> list[Section]:
     if not diagnosis.next_measurements:
         return []
+    sliding = session.robot.kinematics(session.q[:1]).is_prismatic
     rows = [
-        [m.pose or "new", m.load_case, " / ".join(m.separates), 1e6 * m.difference_m, m.gain,
-         ", ".join(f"{np.degrees(v):.0f}" for v in m.q)]
+        [m.pose or "new", m.load_case, " / ".join(m.separates), length(m.difference_m), f"{m.gain:.1f}",
+         " ".join(f"{v:.3f} m" if slides else f"{np.degrees(v):.0f}" for v, slides in zip(m.q, sliding, strict=False))]
         for m in diagnosis.next_measurements
     ]  # fmt: skip
-    header = ["pose", "load case", "tells apart", "difference [um]", "in standard deviations", "joint angles [deg]"]
-    return [
-        Section(
-            "What to measure next",
-            ["Samples in which the rivals predict the most different displacements."],
-            (),
-            [Table(header, rows)],
-        )
-    ]
+    header = ["pose", "load case", "separates", "difference", "in standard deviations", "joint angles [deg]"]
+    text = "Samples in which the rivals predict the most different displacements."
+    return [Section("What to measure next", [text], (), [Table(header, rows)])]
 
 
 def _notes(diagnosis: Diagnosis) -> list[Section]:
     notes = [n for n in diagnosis.notes if n not in diagnosis.comparison.notes]
     return [Section("Notes", notes)] if notes else []
-
-
-def _um(metres: float) -> str:
-    return f"{1e6 * metres:.1f} um"
-
-
-

@@ -6,28 +6,35 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..codec import pose_data, run_codec
-from ..codec_charts import save_chart
+from ..codec.algorithm1 import ESTIMATOR as CODEC_ESTIMATOR
 from ..diagnose.comparison import compare
 from ..diagnose.improve import Ladder
 from ..effects import find_effect
 from ..errors import IrecError
+from ..identification.validation import ESTIMATOR
+from ..lengths import length
 from ..session.data import Session
 from . import models, samples
+from .codec_charts import save_chart
+from .next_steps import after_improvement
 from .page import Figure, Page, Section, Table, write_page
 
 
-def write_ladder_report(ladder: Ladder, session: Session, folder: Path, more: tuple[Section, ...] = ()) -> list[Path]:
+def write_ladder_report(
+    ladder: Ladder, session: Session, folder: Path, more: tuple[Section, ...] = (), *, named: tuple[str, str] = ("", "")
+) -> list[Path]:
     """Write the figures and report.html into a folder; returns the files, the page first.
 
     Args:
         more: sections to append, e.g. the course driven again.
+        named: paths of session and new model as the user typed them, for commands to copy.
     """
+    hero = _picture(ladder, folder)
     first, last = ladder.rungs[0], ladder.rungs[-1]
     added = [r.added for r in ladder.rungs[1:]]
     verdict = (
         f"Adding {' and '.join(find_effect(a).label if a else a for a in added)} lowers the error on held-out poses from "
-        f"{1e6 * first.cv_rms_m:.1f} um to {1e6 * last.cv_rms_m:.1f} um; the instruments' noise is "
-        f"{1e6 * ladder.noise_floor_m:.1f} um. "
+        f"{length(first.cv_rms_m)} to {length(last.cv_rms_m)}; the instruments' noise is {length(ladder.noise_floor_m)}. "
         f"Stopped because {ladder.stopped}."
         if added
         else f"No effect was added: {ladder.stopped}. {ladder.before.verdict.text}"
@@ -37,30 +44,35 @@ def write_ladder_report(ladder: Ladder, session: Session, folder: Path, more: tu
         subtitle=f"Robot {session.serial or 'without serial'}, {len(session.poses)} poses, model {' + '.join(last.effects)}",
         verdict=verdict,
         status="adequate" if added else ladder.before.verdict.status,
-        sections=[_ladder(ladder, folder), *_before_after(ladder, session, folder), *_codec(ladder, session, folder), *more],
+        hero=hero,
+        todo=after_improvement(ladder, named[0] or str(session.path or "SESSION"), named[1] or "model.yaml"),
+        sections=[_ladder(ladder), *_before_after(ladder, session, folder), *_codec(ladder, session, folder), *more],
     )
-    figures = [f.path for s in page.sections for f in s.figures]
+    figures = [hero.path, *(f.path for s in page.sections for f in s.figures)]
     return [write_page(page, folder / "report.html"), *figures]
 
 
-def _ladder(ladder: Ladder, folder: Path) -> Section:
+def _names(ladder: Ladder) -> list[str]:
+    return [f"+ {r.added}" if r.added else " + ".join(r.effects) for r in ladder.rungs]
+
+
+def _picture(ladder: Ladder, folder: Path) -> Figure:
     rungs = ladder.rungs
-    names = [f"+ {r.added}" if r.added else " + ".join(r.effects) for r in rungs]
-    figure = models.ladder(
-        names, [r.cv_rms_m for r in rungs], [r.cv_rms_se_m for r in rungs], ladder.noise_floor_m, folder / "ladder.png"
-    )
+    errors, ses = [r.cv_rms_m for r in rungs], [r.cv_rms_se_m for r in rungs]
+    picture = models.ladder(_names(ladder), errors, ses, ladder.noise_floor_m, folder / "ladder.png")
+    text = "Error on poses that the model was not fitted to, with its standard error over poses."
+    return Figure(picture, f"{text} Estimator: {ESTIMATOR}.")
+
+
+def _ladder(ladder: Ladder) -> Section:
+    rungs = ladder.rungs
     rows = []
-    for name, r in zip(names, rungs, strict=True):
+    for name, r in zip(_names(ladder), rungs, strict=True):
         term = next((t for t in r.model.terms if t.effect.id == r.added), None)
         values = "; ".join(f"{n} = {e}" for n, e in list(term.estimates.items())[:6]) if term else ""
-        rows.append([name, 1e6 * r.cv_rms_m, 1e6 * r.cv_rms_se_m, 1e6 * r.fit_rms_m, values])
-    physics = [f"{find_effect(r.added).label}: {find_effect(r.added).physics}" for r in rungs if r.added]
-    return Section(
-        "Ladder",
-        physics,
-        [Figure(figure, "Error on poses that the model was not fitted to, with its standard error over poses.")],
-        [Table(["model", "held-out [um]", "+-", "fit [um]", "parameters added"], rows)],
-    )
+        rows.append([name, f"{length(r.cv_rms_m)} +- {length(r.cv_rms_se_m)}", length(r.fit_rms_m), values])
+    physics = [f"{find_effect(r.added).label.capitalize()}: {find_effect(r.added).physics}" for r in rungs if r.added]
+    return Section("What was added", physics, tables=[Table(["model", "held-out", "fit", "parameters added"], rows)])
 
 
 def _before_after(ladder: Ladder, session: Session, folder: Path) -> list[Section]:
@@ -68,9 +80,10 @@ def _before_after(ladder: Ladder, session: Session, folder: Path) -> list[Sectio
         return []
     before, after = (compare(session, r.model.terms) for r in (ladder.rungs[0], ladder.rungs[-1]))
     figure = samples.residual_maps(
-        session.p_tcp_in_base[before.rows], [before.residual, after.residual], ["before", "after"], folder / "before_after.png"
-    )
-    return [Section("Before and after", figures=[Figure(figure, "Residual vectors on the same scale.")])]
+        session.p_tcp_in_base[before.rows], [before.residual, after.residual], ["Before", "After"], folder / "before_after.png",
+        poses=session.pose[before.rows], on_surface=session.kind == "loaded",
+    )  # fmt: skip
+    return [Section("What the model leaves, before and after", figures=[Figure(figure, "Residual vectors on the same scale.")])]
 
 
 def _codec(ladder: Ladder, session: Session, folder: Path) -> list[Section]:
@@ -84,5 +97,8 @@ def _codec(ladder: Ladder, session: Session, folder: Path) -> list[Section]:
         figure = save_chart(codecs, folder / "codec.png", "Old and new model on the same verification poses")
     except IrecError as error:
         return [Section("Growth of accuracy", [f"No chart: {error}"])]
-    text = "Error on unseen poses against the number of poses that the model was fitted to, old and new model on the same folds."
+    text = (
+        "Error on unseen poses against the number of poses that the model was fitted to, old and new model on the same folds"
+        f" ({CODEC_ESTIMATOR})."
+    )
     return [Section("Growth of accuracy", figures=[Figure(figure, text)])]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..lengths import length, unit_of
 from ..typing import Array
 from . import style
 
@@ -17,16 +18,17 @@ def ladder(labels: Sequence[str], cv_rms: Sequence[float], cv_se: Sequence[float
     plt = style.pyplot()
     figure, ax = plt.subplots(figsize=(max(5.5, 1.5 * len(labels) + 2), 4.2))
     x = np.arange(len(labels))
-    top = 1e6 * np.array(cv_rms)
+    factor, unit = unit_of(max([*cv_rms, floor]))
+    top = factor * np.array(cv_rms)
     ax.plot(x, top, color=style.GREY, lw=1, zorder=1)
-    ax.errorbar(x, top, yerr=1e6 * np.array(cv_se), fmt="o", ms=8, capsize=4, color=style.BLUE, zorder=2)
+    ax.errorbar(x, top, yerr=factor * np.array(cv_se), fmt="o", ms=8, capsize=4, color=style.BLUE, zorder=2)
     for i, value in enumerate(top):
-        ax.annotate(f"{value:.1f}", (x[i], value), textcoords="offset points", xytext=(10, 6))
-    ax.axhline(1e6 * floor, color=style.GREY, ls="--", label=f"{style.NOISE_LABEL} {1e6 * floor:.1f} um")
+        ax.annotate(f"{value:.2f}" if unit == "mm" else f"{value:.1f}", (x[i], value), textcoords="offset points", xytext=(10, 6))
+    ax.axhline(factor * floor, color=style.RED, ls="--", label=f"{style.NOISE_LABEL} {length(floor)}")
     ax.set_xticks(x, [label.replace(" + ", "\n+ ") for label in labels])
     ax.set_xlim(-0.5, len(labels) - 0.3)
-    ax.set_ylim(0, 1.15 * max(top.max(), 1e6 * floor))
-    ax.set_ylabel("held-out error [um rms]")
+    ax.set_ylim(0, 1.15 * max(top.max(), factor * floor))
+    ax.set_ylabel(f"held-out error [{unit} rms]")
     ax.set_title("Error on poses that the model was not fitted to")
     ax.legend(loc="upper right")
     figure.tight_layout()
@@ -42,19 +44,60 @@ def candidates(
     named: Sequence[str],
     path: str | Path,
 ) -> Path:
-    """Held-out error with each candidate effect added, best first; m. `named` are those of the verdict."""
+    """Held-out error with each candidate effect added, in the order given; m. `named` are those of the verdict (hatched)."""
     plt = style.pyplot()
     names, cv_rms, cv_se = names[:14], cv_rms[:14], cv_se[:14]
     figure, ax = plt.subplots(figsize=(7.5, 0.36 * len(names) + 1.6))
     y = np.arange(len(names))[::-1]
-    colours = [style.GREEN if n in named else style.BLUE for n in names]
-    ax.barh(y, 1e6 * np.array(cv_rms), xerr=1e6 * np.array(cv_se), color=colours, height=0.65, ecolor="#444", capsize=2)
-    ax.axvline(1e6 * base, color=style.RED, lw=1.5, label=f"model as it is, {1e6 * base:.1f} um")
-    ax.axvline(1e6 * floor, color=style.GREY, ls="--", label=f"{style.NOISE_LABEL}, {1e6 * floor:.1f} um")
-    ax.set_yticks(y, names)
-    ax.set_xlabel("held-out error with this effect added [um rms]")
-    ax.set_title("Candidate effects")
+    factor, unit = unit_of(max([*cv_rms, base, floor]))
+    colours = [style.ORANGE if n in named else style.BLUE for n in names]
+    error = factor * np.array(cv_se)
+    bars = ax.barh(y, factor * np.array(cv_rms), xerr=error, color=colours, height=0.65, ecolor="#444", capsize=2)
+    for bar, name in zip(bars, names, strict=True):
+        if name in named:
+            bar.set_hatch("//")
+            bar.set_edgecolor("#222")
+    ax.axvline(factor * base, color="#222", lw=1.5, label=f"model as it is, {length(base)}")
+    ax.axvline(factor * floor, color=style.RED, ls="--", label=f"{style.NOISE_LABEL}, {length(floor)}")
+    ax.set_yticks(y, [f"{n} (named)" if n in named else n for n in names])
+    ax.set_xlabel(f"trial: held-out error with this effect added [{unit} rms]")
+    ax.set_title("Candidate effects, the best evidence first")
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.08), ncols=2)
+    ax.grid(axis="y", alpha=0)
+    figure.tight_layout()
+    return style.save(figure, path)
+
+
+def gap(
+    rows: Sequence[tuple[str, float, float]],
+    floor: float,
+    path: str | Path,
+    title: str,
+    of: str = "error on poses that were left out of the fit",
+) -> Path:
+    """The verdict as one picture: error of one or two models beside the noise.
+
+    Args:
+        rows: name, error (m), its standard error (m, NaN where there is none).
+        floor: noise, m.
+    """
+    plt = style.pyplot()
+    figure, ax = plt.subplots(figsize=(8.0, 0.62 * (len(rows) + 1) + 1.0))
+    names = [*(r[0] for r in rows), style.NOISE_LABEL]
+    factor, unit = unit_of(max([*(r[1] for r in rows), floor]))
+    values = factor * np.array([*(r[1] for r in rows), floor])
+    errors = factor * np.nan_to_num(np.array([*(r[2] for r in rows), 0.0]))
+    y = np.arange(len(names))[::-1]
+    colours = [*(style.BLUE, style.ORANGE, style.PURPLE)[: len(rows)], style.GREY]
+    ax.barh(y, values, xerr=errors, color=colours, height=0.6, ecolor="#333", capsize=3)
+    for at, value, error in zip(y, values, errors, strict=True):
+        text = length(value / factor)
+        ax.annotate(text, (value + error, at), textcoords="offset points", xytext=(6, 0), va="center", weight="bold")
+    ax.axvline(factor * floor, color=style.RED, ls="--", lw=1)
+    ax.set_yticks(y, names)
+    ax.set_xlim(0, 1.18 * float((values + errors).max()))
+    ax.set_xlabel(f"{of} [{unit} rms]")
+    ax.set_title(title)
     ax.grid(axis="y", alpha=0)
     figure.tight_layout()
     return style.save(figure, path)
@@ -68,7 +111,7 @@ def views(sentences: Sequence[str], share: Sequence[float], path: str | Path) ->
     ax.barh(y, 100 * np.array(share), color=style.ORANGE, height=0.6)
     ax.set_yticks(y, sentences)
     ax.set_xlabel("share of the residual's square [%]")
-    ax.set_title("Where the model fails")
+    ax.set_title("What the residual goes along with")
     ax.grid(axis="y", alpha=0)
     figure.tight_layout()
     return style.save(figure, path)
@@ -85,10 +128,10 @@ def course(s: Mapping[str, Array], deviation: Mapping[str, Array], tolerance: fl
     """
     plt = style.pyplot()
     figure, ax = plt.subplots(figsize=(9, 4))
-    colours = (style.RED, style.ORANGE, style.GREEN, style.BLUE)
-    for (run, along), colour in zip(s.items(), colours, strict=False):
+    colours = (style.RED, style.ORANGE, style.BLUE, style.GREEN)
+    for (run, along), colour, dash in zip(s.items(), colours, style.DASHES, strict=False):
         d = 1e3 * np.asarray(deviation[run])
-        ax.plot(along, d, lw=1.3, color=colour, label=f"{run}: mean {d.mean():.3f}, max {d.max():.3f} mm")
+        ax.plot(along, d, lw=1.3, color=colour, ls=dash, label=f"{run}: mean {d.mean():.3f}, max {d.max():.3f} mm")
     if tolerance is not None:
         ax.axhline(1e3 * tolerance, color=style.GREY, ls="--", label=f"tolerance {1e3 * tolerance:.2f} mm")
     ax.set_xlabel("arc length [m]")

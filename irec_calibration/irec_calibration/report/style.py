@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One look for all figures: quiet axes, a palette that colour-blind readers can tell apart, units on every axis."""
+"""One look for all figures: quiet axes, a palette that colour-blind readers tell apart, units on every axis.
+
+Colours are those of Okabe and Ito. Nothing is told by colour alone: lines also differ in dashes, named bars in hatching.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,11 @@ from typing import Any
 
 from ..errors import IrecError
 
-BLUE, ORANGE, GREEN, RED, GREY, PURPLE = "#3b6fb6", "#e08a2e", "#3a9a6b", "#c8453f", "#8a8f98", "#7d5ba6"
+BLUE, ORANGE, GREEN, RED, GREY, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#7a808a", "#CC79A7"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, RED, GREY)
+DASHES = ("-", "--", "-.", ":")
+MARKERS = ("o", "s", "^")
+CONTINUOUS = "cividis"
 NOISE_LABEL = "instrument noise"
 
 

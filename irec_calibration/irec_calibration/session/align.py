@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from scipy.optimize import minimize_scalar
 
 from ..errors import SessionError
+from ..files import read_document
 from ..recording import BagReader
 from ..robot import Robot
 from ..typing import Array, IntArray, Json
@@ -132,15 +132,7 @@ def in_words(delay: Delay) -> list[str]:
 
 
 def _mapping(profile: Path) -> Json:
-    try:
-        data = yaml.safe_load(profile.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SessionError(f"{profile}: can't read the profile: {error}") from error
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise SessionError(f"{profile}: not a mapping with format: {FORMAT}")
-    if not isinstance(data.get("session"), dict) or not isinstance(data["session"].get("robot"), dict):
-        raise SessionError(f"{profile}: 'session' with 'robot: {{urdf: ...}}' is missing")
-    return data
+    return dict(read_document(profile, FORMAT, "profile", SessionError).data)
 
 
 def _number(mapping: Json, key: str, default: float, profile: Path) -> float:

@@ -103,6 +103,7 @@ class Session:
         passive: joint name -> expression of a coupled joint without a drive.
         clock: `time`, `order` or `none`: what `stamp` can be trusted for.
         meta: the content of session.yaml, for what the attributes do not name.
+        is_whole: nothing of a recording is missing; False while it is still being written.
         notes: what the reader wants the user to know (ignored columns and the like).
     """
 
@@ -139,6 +140,7 @@ class Session:
     has_tcp: bool = True
     meta: Json = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    is_whole: bool = True
     path: Path | None = None
 
     def __post_init__(self) -> None:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import csv
 import datetime
+import io
 import math
 import shutil
 from dataclasses import replace
@@ -31,6 +32,8 @@ from typing import Any
 import yaml
 
 from ..errors import SessionError
+from ..files import read_document
+from ..files.regular import TABLE_LIMIT, read_bytes
 from ..typing import Json
 from .data import Session
 from .header import FORMAT as SESSION_FORMAT
@@ -186,10 +189,10 @@ def _read(profile: Profile, table: Path) -> tuple[list[str], list[tuple[int, lis
     options = profile.table
     skip = int(options.get("skip_lines", 0))
     try:
-        with table.open(newline="", encoding=str(options.get("encoding", "utf-8-sig"))) as file:
-            reader = csv.reader(file, delimiter=str(options.get("delimiter", ",")), skipinitialspace=True)
-            lines = [(reader.line_num, [f.strip() for f in row]) for row in reader if any(f.strip() for f in row)]
-    except (OSError, UnicodeDecodeError, LookupError, csv.Error, TypeError) as error:
+        text = read_bytes(table, "table", SessionError, TABLE_LIMIT).decode(str(options.get("encoding", "utf-8-sig")))
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=str(options.get("delimiter", ",")), skipinitialspace=True)
+        lines = [(reader.line_num, [f.strip() for f in row]) for row in reader if any(f.strip() for f in row)]
+    except (ValueError, LookupError, csv.Error, TypeError) as error:
         raise SessionError(f"{table}: can't read the table: {error}") from error
     lines = [item for item in lines if item[0] > skip]
     if options.get("names"):
@@ -258,11 +261,7 @@ def _time(text: str, form: str, where: str) -> float:
 
 
 def _load(path: Path) -> Json:
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SessionError(f"{path}: can't read the profile: {error}") from error
-    return _mapping(data, str(path))
+    return _mapping(read_document(path, FORMAT, "profile", SessionError).data, str(path))
 
 
 def _mapping(data: Any, where: str) -> Json:

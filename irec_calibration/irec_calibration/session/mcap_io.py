@@ -16,11 +16,12 @@ import yaml
 
 from .. import __version__
 from ..errors import SessionError
+from ..files import one_line
 from ..recording import BagReader, BagWriter
 from ..robot import Robot
 from . import record_message
 from .data import Session
-from .header import FORMAT, Header, parse_header
+from .header import FORMAT, parse_header_text
 from .table import XYZ, Columns, columns_of, session_from_columns
 
 
@@ -53,7 +54,14 @@ def read_mcap(path: str | Path) -> Session:
     rows: list[dict[str, str]] = []
     notes: list[str] = []
     for message in bag.messages({record_message.TOPIC}):
-        rows.append(_row_of(bag.decode(message)))
+        if message.topic.type_name != record_message.TYPE:
+            found = message.topic.type_name or "of no type"
+            raise SessionError(f"{path}: {record_message.TOPIC} is {found}, {record_message.TYPE} is needed")
+        where = f"{path}: message {len(rows) + 1} of {record_message.TOPIC}"
+        try:
+            rows.append(_row_of(bag.decode(message), where))
+        except (AttributeError, TypeError) as error:  # a type of that name with other fields
+            raise SessionError(one_line(f"{where}: is no {record_message.TYPE} as this program knows it: {error}")) from error
     notes += [f"lost: {loss}" for loss in bag.losses]
     missing = [name for name in ("session.yaml", "robot.urdf") if name not in bag.attachments]
     if missing:
@@ -61,26 +69,26 @@ def read_mcap(path: str | Path) -> Session:
             f"{path}: {missing[0]} is not attached{_after(bag)}; this is no session recording"
             f" (topics: {', '.join(sorted(bag.topics)) or 'none'}); try `irec inspect`"
         )
-    header = _header(path, bag.attachments["session.yaml"])
+    header = parse_header_text(_attached(path, bag, "session.yaml"), f"{path}: session.yaml", path.parent)
     if header.kind == "loaded":
         rows = _last_attempts(rows, notes)
     if not rows:
         raise SessionError(f"{path}: no message on {record_message.TOPIC}{_after(bag)}: nothing was recorded")
-    robot = Robot(bag.attachments["robot.urdf"].decode(), f"{path}: robot.urdf")
+    robot = Robot(_attached(path, bag, "robot.urdf"), f"{path}: robot.urdf")
+    _name_joints(rows, header.joint_names or robot.joint_names)
     session = session_from_columns(header, robot, _MessageColumns(path, rows), path)
-    return replace(session, notes=(*notes, *session.notes))
+    return replace(session, notes=(*notes, *session.notes), is_whole=not bag.losses)
 
 
 def _after(bag: BagReader) -> str:
     return f" ({'; '.join(bag.losses)})" if bag.losses else ""
 
 
-def _header(path: Path, content: bytes) -> Header:
+def _attached(path: Path, bag: BagReader, name: str) -> str:
     try:
-        data = yaml.safe_load(content)
-    except yaml.YAMLError as error:
-        raise SessionError(f"{path}: attached session.yaml can't be read: {error}") from error
-    return parse_header(data, f"{path}: session.yaml", path.parent)
+        return bag.attachments[name].decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SessionError(f"{path}: the attached {name} is no UTF-8 text (byte {error.start})") from None
 
 
 def _last_attempts(rows: list[dict[str, str]], notes: list[str]) -> list[dict[str, str]]:
@@ -105,9 +113,12 @@ def _last_attempts(rows: list[dict[str, str]], notes: list[str]) -> list[dict[st
     return [row for attempt in kept.values() for row in attempt]
 
 
-def _row_of(m: Any) -> dict[str, str]:
+def _row_of(m: Any, where: str) -> dict[str, str]:
     """The columns of one message; NaN is an empty field."""
     row = {"pose": str(m.pose), "load_case": str(m.load_case), "repeat": str(m.repeat), "stamp": _text(m.time)}
+    for names, values in ((m.joint_names, m.joint_position), (m.temperature_names, m.temperature)):
+        if len(names) != len(values):
+            raise SessionError(f"{where}: {len(names)} names and {len(values)} values: {', '.join(names)[:200]}")
     row |= {name: _text(value) for name, value in zip(m.joint_names, m.joint_position, strict=True)}
     row |= {f"target_{i + 1}": _text(value) for i, value in enumerate(m.joint_target)}
     for prefix, vector in (
@@ -123,6 +134,16 @@ def _row_of(m: Any) -> dict[str, str]:
         row["marker"] = m.marker
     row |= {name: _text(value) for name, value in zip(m.temperature_names, m.temperature, strict=True)}
     return row
+
+
+def _name_joints(rows: list[dict[str, str]], names: tuple[str, ...]) -> None:
+    """Columns joint_1 .. joint_n for joints that the messages call by the names of the robot description, in its order."""
+    wanted = {name: f"joint_{k + 1}" for k, name in enumerate(names)}
+    if all(name == column for name, column in wanted.items()):
+        return
+    for i, row in enumerate(rows):
+        if all(name in row for name in wanted):
+            rows[i] = {wanted.get(name, name): value for name, value in row.items()}
 
 
 def _text(value: float) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
+from ..errors import RecordingError
 from ..recording import TypeCatalogue
 
 TYPE = "irec_msgs/msg/LoadCaseRecord"
@@ -49,11 +50,11 @@ class Catalogue(TypeCatalogue):
     """Stands in for the catalogue of installed interface packages, for what a session needs."""
 
     def definition(self, type_name: str) -> str:
-        """Concatenated definition (ros2msg). KeyError for another type."""
+        """Concatenated definition (ros2msg). RecordingError for another type."""
         if type_name == EVENT_TYPE:
             return "string data\n"
         if type_name != TYPE:
-            raise KeyError(type_name)
+            raise RecordingError(f"the type '{type_name}' is none that a session needs")
         head, *rest = _FIELDS
         separator = "=" * 80
         return _FIELDS[head] + "".join(f"{separator}\nMSG: {name}\n{_FIELDS[name]}" for name in rest)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import os
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import yaml
 
 from ..errors import SessionError
+from ..files.regular import TABLE_LIMIT, read_text
 from ..robot import Robot
 from ..typing import Array, IntArray
 from .data import Session
@@ -27,9 +29,9 @@ class Columns:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            with path.open(newline="", encoding="utf-8-sig") as file:
-                rows = [(reader.line_num, row) for reader in [csv.reader(file)] for row in reader if row]
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            file = io.StringIO(read_text(path, "table of samples", SessionError, TABLE_LIMIT), newline="")
+            rows = [(reader.line_num, row) for reader in [csv.reader(file)] for row in reader if row]
+        except csv.Error as error:
             raise SessionError(f"{path}: can't read the table: {error}") from error
         if not rows:
             raise SessionError(f"{path}: the file is empty; a header line with column names is needed")

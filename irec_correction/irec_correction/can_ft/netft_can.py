@@ -110,7 +110,8 @@ class Assembler:
     """Puts the frames of an answer together.
 
     Attributes:
-        short: answers of the short kind. incomplete: answers that a newer one cut off. foreign: frames of somebody else.
+        short: answers of the short kind. incomplete: answers that a newer one cut off, or that lost a frame. foreign: frames
+            of somebody else.
     """
 
     base: int
@@ -119,6 +120,7 @@ class Assembler:
     incomplete: int = 0
     foreign: int = 0
     _parts: dict[int, bytes] = field(default_factory=dict)
+    _broken: bool = False  # the answer that is coming in is counted as incomplete already
 
     def __post_init__(self) -> None:
         if not 0 <= self.base <= 0x7FF - 6:
@@ -129,6 +131,7 @@ class Assembler:
         if self._parts:
             self.incomplete += 1
             self._parts.clear()
+        self._broken = False
 
     def take(self, identifier: int, data: bytes) -> Reading | None:
         """One frame; a reading when it was the last one of an answer.
@@ -145,6 +148,11 @@ class Assembler:
             raise ProtocolError(f"CAN frame {identifier:#x} of the force sensor has {len(data)} bytes, 8 are needed")
         if part == 0:
             self.begin()
+        elif part != len(self._parts):  # the frames of an answer come in order: one was lost, or two answers are mixed
+            self.incomplete += not self._broken
+            self._broken = True
+            self._parts.clear()
+            return None
         self._parts[part] = bytes(data)
         if len(self._parts) < frames:
             return None

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor's process: readings go into shared memory for the loop that corrects, and as datagrams to whoever watches."""
+"""The sensor's process: readings go into shared memory for the loop that corrects, and as datagrams to whoever watches.
+
+It serves one setup after another: `release` closes bus and block, and the next setup opens them.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,21 @@ import socket
 import struct
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from multiprocessing.connection import Connection
 
 import numpy as np
 from irec_calibration.errors import IrecError
 
 from ..realtime import prefer_thread, settle_memory
+from ..setups import next_setup
 from ..shared import WRENCH_SIZE, SharedValues
 from .netft_can import Reading
-from .reader import ReaderSettings, SensorReader
+from .reader import ReaderCounts, ReaderSettings, SensorReader
 
-# time (CLOCK_REALTIME, s), wrench(6), status, sample, then readings, unanswered, gaps, repeated, bad, bus failures
-RECORD = struct.Struct("<7d2I6Q")
+COUNTS = tuple(f.name for f in fields(ReaderCounts))
+# time (CLOCK_REALTIME, s), wrench(6), status, sample, then the counts
+RECORD = struct.Struct(f"<7d2I{len(COUNTS)}Q")
 
 
 @dataclass(frozen=True)
@@ -41,79 +46,86 @@ class SensorProcess:
         """Open bus and block. Raises IrecError."""
         self._pipe: Connection | None = pipe
         self._records = records
-        self.reader = SensorReader(setup.reader, self._tell)
+        self.reader = SensorReader(setup.reader, self._deliver)
         self._block = SharedValues.create(WRENCH_SIZE, setup.block)
         self._values = np.zeros(WRENCH_SIZE)
         self._running = True
-        self._told = 0.0
+        self._passes_on = False  # until told so
+        self._recorded = 0.0
+        self.stopped = False  # by a signal, not by `release`
 
     def run(self) -> None:
-        """Until a signal. The other side may go away."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
+        """Until a signal or `release`. The other side may go away."""
+        before = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
-            self.reader.run(self._goes_on)
+            self.reader.run(self._continue)
         finally:
             self.reader.close()
             self._block.close()
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def _on_signal(self, number: int, frame: object) -> None:
-        self._running = False
+        self._running, self.stopped = False, True
 
-    def _tell(self, reading: Reading, now: float) -> None:
+    def _deliver(self, reading: Reading, now: float) -> None:
+        if not self._passes_on:
+            return
         v = self._values
         v[0], v[1], v[2] = now, self.reader.counts.readings, float(reading.status if reading.errors else 0)
         v[3:9] = reading.wrench
         self._block.write(v)
-        self._record(reading.wrench, reading.status, reading.sample)
+        self._record(reading.wrench, reading.status, reading.sample, time.time() - (time.monotonic() - now))
 
-    def _record(self, wrench: np.ndarray, status: int, sample: int) -> None:
-        c = self.reader.counts
-        self._told = time.time()
-        data = RECORD.pack(
-            self._told, *wrench.tolist(), status, sample, c.readings, c.unanswered, c.gaps, c.repeated, c.bad, c.bus_failures
-        )
+    def _record(self, wrench: np.ndarray, status: int, sample: int, stamp: float) -> None:
+        self._recorded = time.monotonic()
+        data = RECORD.pack(stamp, *wrench.tolist(), status, sample, *astuple(self.reader.counts))
         with contextlib.suppress(OSError):  # nobody reads, or too slowly: the loop comes first
             self._records.send(data, socket.MSG_DONTWAIT)
 
-    def _goes_on(self) -> bool:
-        if time.time() - self._told > 0.5:  # tell the counters even while the sensor is silent
-            self._record(np.full(6, np.nan), 0, 0)
+    def _continue(self) -> bool:
+        if time.monotonic() - self._recorded > 0.5:  # the counters, even while the sensor is silent
+            self._record(np.full(6, np.nan), 0, 0, time.time())
         if self._pipe is not None:
             try:
                 if self._pipe.poll(0):
-                    self._pipe.send(self._obey(self._pipe.recv()))
+                    self._pipe.send(self._execute(self._pipe.recv()))
             except (EOFError, OSError):
                 self._pipe = None
                 print("can_ft_node: the ROS side has gone; the sensor is read on", file=sys.stderr)
         return self._running
 
-    def _obey(self, command: object) -> str:
-        if command != "bias":
-            return f"the sensor's process can't {command}"
-        try:
-            self.reader.bias()
-        except (IrecError, OSError) as error:
-            return str(error)
+    def _execute(self, command: object) -> str:
+        match command:
+            case "pass on" | "pause":
+                self._passes_on = command == "pass on"
+            case "release":
+                self._running = False
+            case "bias":
+                try:
+                    self.reader.bias()
+                except (IrecError, OSError) as error:
+                    return str(error)
+            case other:
+                return f"the sensor's process can't {other}"
         return ""
 
 
 def run_sensor(pipe: Connection, records: socket.socket) -> int:
-    """Body of the process: receive a SensorSetup (or None: end), then read. Exit code."""
-    try:
-        setup = pipe.recv()
-    except (EOFError, KeyboardInterrupt):
-        return 2
-    if setup is None:
-        return 2
-    refused = [prefer_thread(setup.priority)]
-    try:
-        process = SensorProcess(setup, pipe, records)
-    except IrecError as error:
-        pipe.send(("failed", str(error)))
-        return 2
-    if setup.priority and os.name == "posix":
-        refused += settle_memory()
-    pipe.send(("ready", [r for r in refused if r]))
-    process.run()
-    return 0
+    """Body of the process: receive a SensorSetup (or None: end), read, and again. Exit code."""
+    while True:
+        setup, code = next_setup(pipe)
+        if setup is None:
+            return code
+        refused = [prefer_thread(setup.priority)]
+        try:
+            process = SensorProcess(setup, pipe, records)
+        except IrecError as error:
+            pipe.send(("failed", str(error)))
+            continue
+        if setup.priority and os.name == "posix":
+            refused += settle_memory()
+        pipe.send(("ready", [r for r in refused if r]))
+        process.run()
+        if process.stopped:
+            return 0

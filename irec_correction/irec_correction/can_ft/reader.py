@@ -17,6 +17,7 @@ from .netft_can import Assembler, Calibration, Reading, Request, advance, reques
 SLCAN_WAIT = 0.05  # s; python-can waits 2 s by default
 REOPEN = 0.5  # s between tries to open a bus that has gone
 COUNTER_BITS = {False: 32, True: 16}
+OWED = 2  # periods in which an answer that did not come may still come; nothing is asked meanwhile
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,10 @@ class ReaderCounts:
     Attributes:
         unanswered: requests without a whole answer within a period. gaps: periods that the sensor's counter says are missing.
         repeated: answers with the counter of the one before; not passed on. bad: frames of the wrong length.
+        late: answers that came in a later period than their request; passed on with the time of the request.
+        unrequested: whole answers that nobody here has asked for. foreign_requests, foreign_bias: requests of another device, and
+            those of them that set the sensor's zero.
+        ignored: error, remote and extended frames.
     """
 
     readings: int = 0
@@ -68,11 +73,16 @@ class ReaderCounts:
     repeated: int = 0
     bad: int = 0
     bus_failures: int = 0
+    late: int = 0
+    unrequested: int = 0
+    foreign_requests: int = 0
+    foreign_bias: int = 0
+    ignored: int = 0
 
 
 def open_bus(bus: Bus, base: int) -> Any:
-    """Open, listening to this sensor only. Raises CorrectionError."""
-    filters = [{"can_id": base + i, "can_mask": 0x7FF, "extended": False} for i in range(1, 7)]
+    """Open, listening to this sensor and to requests that others send it. Raises CorrectionError."""
+    filters = [{"can_id": base + i, "can_mask": 0x7FF, "extended": False} for i in range(7)]
     try:
         extra: dict[str, Any] = {"sleep_after_open": SLCAN_WAIT} if bus.interface == "slcan" else {}
         return can.Bus(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, can_filters=filters, **extra)
@@ -83,14 +93,15 @@ def open_bus(bus: Bus, base: int) -> Any:
 class SensorReader:
     """Asks, collects, passes on. A bus that goes away is opened again; nothing is passed on meanwhile."""
 
-    def __init__(self, settings: ReaderSettings, tell: Callable[[Reading, float], None]) -> None:
-        """Open the bus. Args: tell: called with each reading and its time (CLOCK_MONOTONIC, s). Raises CorrectionError."""
-        self._settings, self._tell = settings, tell
+    def __init__(self, settings: ReaderSettings, deliver: Callable[[Reading, float], None]) -> None:
+        """Open the bus. Args: deliver: called with each reading and its time (CLOCK_MONOTONIC, s). Raises CorrectionError."""
+        self._settings, self._deliver = settings, deliver
         self._assembler = Assembler(settings.base, settings.calibration, settings.short)
         self.counts = ReaderCounts()
         self._bus: Any = open_bus(settings.bus, settings.base)
         self._sample: int | None = None
         self._tried = 0.0
+        self._owed: tuple[float, int] | None = None  # time of a request without an answer, periods in which it may come
 
     def bias(self) -> None:
         """Take the present reading as zero, in the sensor. Only without contact. Raises CorrectionError without a bus."""
@@ -98,11 +109,11 @@ class SensorReader:
             raise CorrectionError("the CAN bus of the force sensor is not open")
         self._send(Request.BIAS)
 
-    def run(self, goes_on: Callable[[], bool]) -> None:
-        """One request per period until `goes_on` says no."""
+    def run(self, is_running: Callable[[], bool]) -> None:
+        """One request per period until `is_running` says no."""
         period = 1.0 / self._settings.rate
         due = time.monotonic()
-        while goes_on():
+        while is_running():
             due = max(due + period, time.monotonic() - 5 * period)  # after a pause: go on from now, do not catch up
             if self._bus is None and not self._reopen():
                 time.sleep(period)
@@ -120,23 +131,56 @@ class SensorReader:
         self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
 
     def _ask(self, until: float) -> None:
-        self._assembler.begin()
-        self._send(Request.SHORT if self._settings.short else Request.LONG)
+        """One period: a request and its answer, or the rest of the one before."""
+        if self._owed is None:
+            self._discard_waiting()
+            self._assembler.begin()
+            asked = time.monotonic()
+            self._send(Request.SHORT if self._settings.short else Request.LONG)
+            periods_left = OWED
+        else:
+            asked, periods_left = self._owed
+        reading = self._listen(until)
+        if reading is not None:
+            late = self._owed is not None
+            self.counts.late += late
+            self._owed = None
+            self._pass_on(reading, asked if late else time.monotonic())
+            return
+        if self._owed is None:
+            self.counts.unanswered += 1
+        self._owed = (asked, periods_left - 1) if periods_left > 0 else None
+
+    def _listen(self, until: float) -> Reading | None:
+        """Frames up to a time (CLOCK_MONOTONIC, s) or a whole answer."""
         while True:
             frame = self._bus.recv(max(0.0, until - time.monotonic()))
             if frame is None:
-                self.counts.unanswered += 1
-                return
-            try:
-                reading = self._assembler.take(frame.arbitration_id, frame.data)
-            except ProtocolError:
-                self.counts.bad += 1
-                continue
+                return None
+            reading = self._take(frame)
             if reading is not None:
-                self._pass_on(reading)
-                return
+                return reading
 
-    def _pass_on(self, reading: Reading) -> None:
+    def _discard_waiting(self) -> None:
+        """Before a request: what waits is no answer to it, however many another device has made the sensor send."""
+        while (frame := self._bus.recv(0.0)) is not None:
+            self.counts.unrequested += self._take(frame) is not None
+
+    def _take(self, frame: Any) -> Reading | None:
+        if frame.is_error_frame or frame.is_remote_frame or frame.is_extended_id:
+            self.counts.ignored += 1
+            return None
+        if frame.arbitration_id == self._settings.base:
+            self.counts.foreign_requests += 1
+            self.counts.foreign_bias += bytes(frame.data[:1]) == bytes([Request.BIAS])
+            return None
+        try:
+            return self._assembler.take(frame.arbitration_id, frame.data)
+        except ProtocolError:
+            self.counts.bad += 1
+            return None
+
+    def _pass_on(self, reading: Reading, now: float) -> None:
         before, self._sample = self._sample, reading.sample
         if before is not None:
             steps = advance(before, reading.sample, COUNTER_BITS[self._settings.short])
@@ -145,13 +189,13 @@ class SensorReader:
                 return
             self.counts.gaps += max(0, round(steps * self._settings.rate / self._settings.sensor_rate) - 1)
         self.counts.readings += 1
-        self._tell(reading, time.monotonic())
+        self._deliver(reading, now)
 
     def _lose_bus(self) -> None:
         self.counts.bus_failures += 1
         with contextlib.suppress(Exception):
             self._bus.shutdown()
-        self._bus, self._tried = None, time.monotonic()
+        self._bus, self._tried, self._owed = None, time.monotonic(), None
 
     def _reopen(self) -> bool:
         if time.monotonic() - self._tried < REOPEN:

@@ -21,12 +21,12 @@ def main() -> int:
     """Start the node, then read the sensor in this process."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    tell, hear = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-    node = context.Process(target=_ros_side, args=(theirs, hear, sys.argv), name="can_ft_publisher", daemon=True)
+    send, receive = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    node = context.Process(target=_ros_side, args=(theirs, receive, sys.argv), name="can_ft_publisher", daemon=True)
     node.start()
     theirs.close()
-    hear.close()
-    return run_sensor(ours, tell)
+    receive.close()
+    return run_sensor(ours, send)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS side of the CAN force sensor: parameters in, wrench_raw, diagnostics and the bias service out."""
+"""The ROS side of the CAN force sensor: parameters in, wrench_raw, diagnostics and the bias service out.
+
+A lifecycle node: configured, the bus is open; active, readings are passed on; cleaned up, the bus is free.
+"""
 
 from __future__ import annotations
 
@@ -14,81 +17,117 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
-from irec_calibration.nodes.startup import begin, refuse_unknown_parameters
-from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
+from irec_calibration.errors import IrecError
+from irec_ros.diagnostics import ERROR, OK, WARN, Diagnostics, status
+from irec_ros.guard import Guarded
+from irec_ros.parameters import Parameters
+from irec_ros.startup import begin, refuse_unknown_parameters, spin_until, stop_on_signals
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from ..can_ft.netft_can import Calibration, errors_of
-from ..can_ft.process import RECORD, SensorSetup
+from ..can_ft.process import COUNTS, RECORD, SensorSetup
 from ..can_ft.reader import Bus, ReaderSettings
 from ..errors import SettingsError
 from .messages import fill_vector, ros_time
+from .parameters import CAN_FT
 
 OUT_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 ANSWER_WAIT = 1.0  # s
-PARAMETERS = (
-    ("interface", "socketcan", "python-can interface: socketcan, slcan, virtual, ..."),
-    ("channel", "can0", "channel of it: can0, /dev/ttyUSB0, ..."),
-    ("bitrate", 1_000_000, "bit/s"),
-    ("base_id", 0x40, "base identifier of the sensor (DIP switches)"),
-    ("rate", 250.0, "readings per second, Hz"),
-    ("short_answers", False, "answers of 16 bits (two frames) in place of 32 bits (four frames)"),
-    ("sensor_rate", 7000.0, "samples per second by which the sensor's counter goes on"),
-    ("counts_per_force", 1e6, "counts per unit of force, from the sensor's calibration page (cfgcpf)"),
-    ("counts_per_torque", 1e6, "counts per unit of torque (cfgcpt)"),
-    ("to_newton", 1.0, "newtons per unit of force: 1, or 4.4482216 for lbf"),
-    ("to_newton_metre", 1.0, "N m per unit of torque: 1, or 0.11298483 for lbf in"),
-    ("short_scale", [1.0] * 6, "counts of the long answer per count of the short one, Fx Fy Fz Tx Ty Tz"),
-    ("frame_id", "ft_sensor", "frame of the readings"),
-    ("block", "irec_wrench", "name of the shared memory that rsi_bridge can read (wrench_block)"),
-    ("realtime_priority", 0, "SCHED_FIFO priority of the reading process, 0: none"),
-)
+SILENT = 0.5  # s without a reading
 
 
-class CanFtNode(Node):
+class CanFtNode(Guarded, LifecycleNode):
     """Publishes wrench_raw; the service ~/bias takes the present reading as zero (only without contact)."""
 
     def __init__(self, pipe: Connection) -> None:
         super().__init__("can_ft_node")
-        for name, default, text in PARAMETERS:
-            self.declare_parameter(name, default, ParameterDescriptor(description=text))
+        self._p = Parameters(self, CAN_FT)
         refuse_unknown_parameters(self)
+        self._status = self._diagnostics = Diagnostics(self)
         self._pipe = pipe
-        self._frame, self._short = str(self._get("frame_id")), bool(self._get("short_answers"))
-        self._begin()
+        self._frame, self._short = str(self._p["frame_id"]), bool(self._p["short_answers"])
+        self._configured = self._active = False
+        self._refused = ""  # why the last transition failed
         self._message = WrenchStamped()
         self._message.header.frame_id = self._frame
         self._last: tuple[Any, ...] | None = None
         self._came_in = 0.0
+        self._foreign = 0  # requests of another device up to the last second
         self._out = self.create_publisher(WrenchStamped, "wrench_raw", OUT_QOS)
-        self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", OUT_QOS)
         self.create_service(Trigger, "~/bias", self._on_bias)
-        self.create_timer(1.0, self._on_second)
+        self.create_timer(1.0, self._on_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self._p["autostart"]:
+            for step in (self.trigger_configure, self.trigger_activate):
+                if step() is not TransitionCallbackReturn.SUCCESS:
+                    raise SettingsError(self._refused)
 
-    def _get(self, name: str) -> Any:
-        return self.get_parameter(name).value
+    # -- lifecycle -----------------------------------------------------------------------------------------------------
 
-    def _begin(self) -> None:
-        scale = tuple(float(x) for x in self._get("short_scale"))
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            self._start_sensor()
+        except IrecError as error:
+            self._refused = str(error)
+            self.get_logger().error(f"not configured: {error}")
+            return TransitionCallbackReturn.FAILURE
+        self._configured = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._refused = self._ask("pass on")
+        if self._refused:
+            self.get_logger().error(f"not activated: {self._refused}")
+            return TransitionCallbackReturn.FAILURE
+        self._active = True
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._ask("pause")
+        self._active = False
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _release(self) -> None:
+        if self._configured:
+            self._ask("release")
+        self._configured = self._active = False
+        self._last = None
+
+    def _ask(self, command: str) -> str:
+        """Empty, or why the sensor's process did not do it."""
+        self._pipe.send(command)
+        if not self._pipe.poll(ANSWER_WAIT):
+            return f"the sensor's process did not answer in {ANSWER_WAIT} s"
+        return str(self._pipe.recv())
+
+    def _start_sensor(self) -> None:
+        p = self._p
+        scale = tuple(float(x) for x in p["short_scale"])
         if len(scale) != 6:
             raise SettingsError(f"parameter 'short_scale' has {len(scale)} numbers, it needs 6")
         calibration = Calibration(
-            self._get("counts_per_force"),
-            self._get("counts_per_torque"),
-            self._get("to_newton"),
-            self._get("to_newton_metre"),
+            p["counts_per_force"],
+            p["counts_per_torque"],
+            p["to_newton"],
+            p["to_newton_metre"],
             scale,
         )
-        bus = Bus(str(self._get("interface")), str(self._get("channel")), int(self._get("bitrate")))
-        reader = ReaderSettings(
-            bus, int(self._get("base_id")), self._get("rate"), self._short, self._get("sensor_rate"), calibration
-        )
-        self._pipe.send(SensorSetup(reader, str(self._get("block")), int(self._get("realtime_priority"))))
+        bus = Bus(str(p["interface"]), str(p["channel"]), int(p["bitrate"]))
+        reader = ReaderSettings(bus, int(p["base_id"]), p["rate"], self._short, p["sensor_rate"], calibration)
+        self._pipe.send(SensorSetup(reader, str(p["block"]), int(p["realtime_priority"])))
         kind, content = self._pipe.recv()
         if kind != "ready":
             raise SettingsError(str(content))
@@ -97,7 +136,7 @@ class CanFtNode(Node):
         self.get_logger().info(f"reading {bus.interface}:{bus.channel}, base identifier {reader.base:#x}, {reader.rate:g} Hz")
 
     def take(self, record: bytes) -> None:
-        """Publish one record; called in the thread that hears the sensor's process."""
+        """Publish one record; called in the thread that receives from the sensor's process."""
         values = RECORD.unpack(record)
         self._last = values
         if math.isnan(values[1]) or errors_of(values[7], self._short):  # a reading that is not to be believed gets stale
@@ -109,10 +148,7 @@ class CanFtNode(Node):
         self._out.publish(self._message)
 
     def _on_bias(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._pipe.send("bias")
-        response.message = (
-            self._pipe.recv() if self._pipe.poll(ANSWER_WAIT) else f"the sensor's process did not answer in {ANSWER_WAIT} s"
-        )
+        response.message = self._ask("bias") if self._configured else "not configured: the sensor is not read"
         response.success = not response.message
         response.message = (
             response.message or "the present reading is zero from now on; identify the tool load again where it is removed"
@@ -120,28 +156,41 @@ class CanFtNode(Node):
         return response
 
     def _on_second(self) -> None:
-        status = DiagnosticStatus(
-            name="can_ft_node: sensor", hardware_id=self._frame, level=DiagnosticStatus.OK, message="reading"
-        )
+        level, text, values = OK, "reading", {}
         if self._last is not None:
-            _, *_, word, sample, readings, unanswered, gaps, repeated, bad, failures = self._last
-            errors = errors_of(word, self._short)
-            values = {"status": f"{word:#x}", "sample": sample, "readings": readings, "unanswered": unanswered, "gaps": gaps,
-                      "repeated": repeated, "bad": bad, "bus_failures": failures}  # fmt: skip
-            status.values = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
+            _, *_, status_word, sample = self._last[:9]
+            counts = dict(zip(COUNTS, self._last[9:], strict=True))
+            values = {"status": f"{status_word:#x}", "sample": sample, **counts}
+            errors = errors_of(status_word, self._short)
+            level, text = self._judge_counts(counts)
             if errors:
-                status.level, status.message = DiagnosticStatus.ERROR, "sensor reports " + ", ".join(errors)
-        if time.monotonic() - self._came_in > 0.5:
-            status.level, status.message = DiagnosticStatus.ERROR, "no reading from the sensor"
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics_out.publish(message)
+                level, text = ERROR, "sensor reports " + ", ".join(errors)
+        if not self._active:
+            level, text = WARN, "not active: readings are not passed on"
+        elif time.monotonic() - self._came_in > SILENT:
+            level, text = ERROR, "no reading from the sensor"
+        if errors_here := "; ".join(self.errors.values()):
+            level, text = ERROR, f"{text}; {errors_here}"
+        self._status.publish(status(self, "sensor", level, text, values, self._frame))
+
+    def _judge_counts(self, counts: dict[str, int]) -> tuple[bytes, str]:
+        """What somebody else does on the bus."""
+        asked, self._foreign = counts["foreign_requests"] - self._foreign, counts["foreign_requests"]
+        if counts["foreign_bias"]:
+            return (
+                ERROR,
+                "another device has set the sensor's zero: set it again without contact (~/bias), and end that device",
+            )
+        if asked:
+            return WARN, f"another device asks the sensor too, {asked} times in the last second: answers may be cut off"
+        return OK, "reading"
 
 
 def main(pipe: Connection, records: socket.socket, arguments: list[str]) -> int:
     """Run the node; exit code."""
-    if not begin("can_ft_node", args=arguments):
+    if not begin("can_ft_node", args=arguments, signal_handler_options=SignalHandlerOptions.NO):
         return 2
+    asked_to_stop = stop_on_signals()
     try:
         node = CanFtNode(pipe)
     except Exception as error:  # IrecError, and whatever rclpy raises for parameters
@@ -152,26 +201,26 @@ def main(pipe: Connection, records: socket.socket, arguments: list[str]) -> int:
         return 2
     records.settimeout(0.2)
 
-    def hear() -> None:
-        while rclpy.ok():
+    take = node.guarded("record of the sensor", node.take)
+
+    def receive() -> None:
+        while not asked_to_stop.is_set():
             try:
                 data = records.recv(RECORD.size)
-                if rclpy.ok():
-                    node.take(data)
+                if not asked_to_stop.is_set():
+                    take(data)
             except TimeoutError:
                 continue
             except (OSError, RuntimeError):
                 return
 
-    listener = threading.Thread(target=hear, daemon=True)
+    listener = threading.Thread(target=receive, daemon=True)
     listener.start()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        spin_until(asked_to_stop, node.guarded("executor", executor.spin_once))
     finally:
-        rclpy.try_shutdown()
         listener.join(1.0)
+        rclpy.try_shutdown()
     return 0

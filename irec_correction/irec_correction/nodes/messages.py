@@ -7,9 +7,11 @@ import math
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_calibration.typing import Array
+from irec_ros.diagnostics import status
+from rclpy.node import Node
 
 from irec_msgs.msg import CorrectionState
 
@@ -75,19 +77,15 @@ def fill_state(message: CorrectionState, stamp: Time, out: Output, counts: Count
     message.limited, message.held, message.late = counts.limited, counts.held, counts.late
 
 
-def diagnostics(now: float, serial: str, correction: Correction, note: str = "") -> DiagnosticArray:
-    """State, reason and counters, REP-107."""
+def correction_status(node: Node, serial: str, correction: Correction, note: str = "") -> DiagnosticStatus:
+    """State, reason and counters. Args: note: something that somebody should look at."""
     state, counts = correction.supervisor.state, correction.counts
     text = f"{state.name}: {correction.supervisor.reason}" if correction.supervisor.reason else state.name
-    values = {"ticks": counts.ticks, "limited": counts.limited, "held": counts.held, "late": counts.late}
+    values: dict[str, object] = {"ticks": counts.ticks, "limited": counts.limited, "held": counts.held, "late": counts.late}
     values |= {f"fault.{f.value}": n for f, n in sorted(correction.watchdog.counters.items())}
+    if correction.watchdog.newest is not None:  # the state names why it was entered; this may have come later
+        values["newest_finding"] = correction.watchdog.newest.text
     level = LEVELS[state]
     if note:
         text, level = f"{text}; {note}", max(level, DiagnosticStatus.WARN)
-    status = DiagnosticStatus(
-        level=level, name="correction_node: offset", message=text, hardware_id=serial,
-        values=[KeyValue(key=k, value=str(v)) for k, v in values.items()],
-    )  # fmt: skip
-    array = DiagnosticArray(status=[status])
-    array.header.stamp = ros_time(now)
-    return array
+    return status(node, "offset", level, text, values, serial)

@@ -8,9 +8,9 @@ from array import array
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
 from irec_calibration.typing import Array
+from irec_ros.diagnostics import ERROR, WARN, Diagnostics, status
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from scipy.spatial.transform import Rotation
@@ -34,33 +34,39 @@ class RsiMonitor:
 
     Attributes:
         digest: SHA-256 of the model file in force.
+        state: of the offset, as the loop has told it last.
+        entities: how each publisher is destroyed, and the publisher.
     """
 
     def __init__(
-        self, node: Node, report: SharedValues, latency: SharedValues, joint_names: list[str], serial: str, computes: bool
-    ) -> None:
+        self, node: Node, report: SharedValues, latency: SharedValues, joint_names: list[str], serial: str, computes: bool,
+        diagnostics: Diagnostics,
+    ) -> None:  # fmt: skip
         """Args: computes: the offset comes from the loop; otherwise a correction node publishes offset, wrench and state."""
         self._node, self._report, self._latency, self._serial, self._computes = node, report, latency, serial, computes
         self._values = np.zeros(REPORT_SIZE)
         self._version = 0
-        self._state, self._reason, self._problem, self.digest = State.INACTIVE, "not started", "", ""
-        self._state_told = -1.0
+        self.state, self._reason, self._problem, self.digest = State.INACTIVE, "not started", "", ""
+        self._state_sent = -1.0
         self._joints, self._pose = JointState(name=joint_names), PoseStamped()
         self._pose.header.frame_id = "base_link"
-        self._offset, self._process, self._told = TransformStamped(), WrenchStamped(), CorrectionState()
+        self._offset, self._process, self._state_message = TransformStamped(), WrenchStamped(), CorrectionState()
         self._offset.header.frame_id, self._offset.child_frame_id = "base_link", "tool0"
         self._joints_out = node.create_publisher(JointState, "joint_states", OUT_QOS)
         self._pose_out = node.create_publisher(PoseStamped, "tcp_pose", OUT_QOS)
-        self._diagnostics_out = node.create_publisher(DiagnosticArray, "/diagnostics", OUT_QOS)
+        self._diagnostics = diagnostics
         if computes:
             self._offset_out = node.create_publisher(TransformStamped, "irec/offset", OUT_QOS)
             self._process_out = node.create_publisher(WrenchStamped, "irec/wrench_process", OUT_QOS)
             self._state_out = node.create_publisher(CorrectionState, "irec/correction/state", OUT_QOS)
         else:  # irec/correction/state is that of the correction node
             self._state_out = node.create_publisher(CorrectionState, "~/state", OUT_QOS)
+        made = [self._joints_out, self._pose_out, self._state_out]
+        made += [self._offset_out, self._process_out] if computes else []
+        self.entities = [(node.destroy_publisher, publisher) for publisher in made]
 
-    def hear(self, kind: str, content: Any) -> None:
-        """A word of the loop: ("state", (number, reason)) or ("problem", text, empty when it is over)."""
+    def take(self, kind: str, content: Any) -> None:
+        """A message of the loop: ("state", (number, reason)) or ("problem", text, empty when it is over)."""
         log = self._node.get_logger()
         if kind == "problem":
             self._problem = content
@@ -69,18 +75,18 @@ class RsiMonitor:
             else:
                 log.info("RSI: the packets of the controller are in order again")
             return
-        self._state, self._reason = State(content[0]), content[1]
-        self._state_told = -1.0
-        if self._state in (State.HOLD, State.FADE, State.FAULT):
+        self.state, self._reason = State(content[0]), content[1]
+        self._state_sent = -1.0
+        if self.state in (State.HOLD, State.FADE, State.FAULT):
             log.warning(self._text)
         else:  # rclpy wants one place in the code per severity
             log.info(self._text)
 
     @property
     def _text(self) -> str:
-        return f"{self._state.name}{': ' + self._reason if self._reason else ''}"
+        return f"{self.state.name}{': ' + self._reason if self._reason else ''}"
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Publish what is new."""
         if self._report.version == self._version or not self._report.read(self._values):
             return
@@ -99,14 +105,14 @@ class RsiMonitor:
             self._offset_out.publish(self._offset)
             fill_wrench(self._process, stamp, v[WHERE["wrench"]])
             self._process_out.publish(self._process)
-        if time.monotonic() - self._state_told > STATE_PERIOD:
-            self._state_told = time.monotonic()
-            self._tell_state(v, stamp)
+        if time.monotonic() - self._state_sent > STATE_PERIOD:
+            self._state_sent = time.monotonic()
+            self._publish_state(v, stamp)
 
-    def _tell_state(self, v: Array, stamp: Any) -> None:
-        s = self._told
+    def _publish_state(self, v: Array, stamp: Any) -> None:
+        s = self._state_message
         s.header.stamp, s.header.frame_id = stamp, "base_link"
-        s.state, s.reason = int(self._state), self._reason
+        s.state, s.reason = int(self.state), self._reason
         fill_vector(s.deflection, v[WHERE["deflection"]])
         fill_vector(s.offset, v[WHERE["translation"]])
         fill_vector(s.wrench_process.force, v[WHERE["wrench"]][:3])
@@ -116,21 +122,17 @@ class RsiMonitor:
         s.limited, s.held, s.late = limited, held, late
         self._state_out.publish(s)
 
-    def tell_second(self) -> None:
-        """Publish the diagnostics."""
+    def publish_diagnostics(self, note: str = "") -> None:
+        """State, reason, counters and latency. Args: note: what is not used of the inputs, and unexpected errors."""
         known: dict[str, float] = dict(counts(self._values))
         latency = self._latency.numbers[: max(1, min(int(known["answered"]), KEPT))]
         for name, share in (("p50", 50), ("p99", 99), ("max", 100)):
             known[f"latency_{name}_s"] = float(np.percentile(latency, share))
-        level, text = LEVELS[self._state], self._text
+        level, text = LEVELS[self.state], self._text
         if time.monotonic() - self._values[WHERE["now"]][0] > SILENT:
-            level, text = DiagnosticStatus.WARN, f"no packet of the controller; {text}"
+            level, text = WARN, f"no packet of the controller; {text}"
+        if note:
+            level, text = max(level, WARN), f"{text}; {note}"
         if self._problem:
-            level, text = DiagnosticStatus.ERROR, self._problem
-        status = DiagnosticStatus(
-            level=level, name="rsi_bridge: link", message=text, hardware_id=self._serial,
-            values=[KeyValue(key=k, value=str(x)) for k, x in known.items()],
-        )  # fmt: skip
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._diagnostics_out.publish(message)
+            level, text = ERROR, self._problem
+        self._diagnostics.publish(status(self._node, "link", level, text, known, self._serial))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS side of the RSI bridge: parameters and models in, measurements and diagnostics out. Nothing waits for it."""
+"""The ROS side of the RSI bridge: parameters and models in, measurements and diagnostics out. Nothing waits for it.
+
+A lifecycle node: configured, it answers the controller with zero; active, with offsets; cleaned up, the port is free.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +13,19 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-import numpy as np
 import rclpy
 from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
-from irec_calibration.model_file import file_sha256, load_model
-from irec_calibration.nodes.startup import begin, refuse_unknown_parameters
-from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.executors import ExternalShutdownException
+from irec_ros.diagnostics import Diagnostics
+from irec_ros.guard import Guarded
+from irec_ros.parameters import Parameters
+from irec_ros.startup import begin, refuse_unknown_parameters, spin_until, stop_on_signals
+from rclpy.clock import Clock, ClockType
 from rclpy.experimental import EventsExecutor
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 
 from irec_msgs.srv import ActivateModel
 
@@ -29,57 +33,130 @@ from ..errors import SettingsError
 from ..rsi.bridge import BridgeSetup
 from ..rsi.loop import Link
 from ..rsi.report import KEPT, REPORT_SIZE
-from ..rsi.sources import OFFSET_SIZE, ChainSettings
-from ..shared import WRENCH_SIZE, SharedValues
+from ..rsi.sources import ChainSettings
+from ..shared import SharedValues
+from ..state import State
+from ..watchdog import Fault, Finding
 from . import parameters
-from .model_checks import affordable, check_mounted
+from .chain_clock import ChainClock
+from .model_checks import Mounted, read_checked
+from .rsi_inputs import RsiInputs
 from .rsi_monitor import MONITOR_RATE, RsiMonitor
 
 IN_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 ANSWER_WAIT = 2.0  # s for the loop to carry out a command
-OWN = (
-    ("address", "127.0.0.1", "address of this machine on the robot's network"),
-    ("port", 59152, "UDP port that the controller sends to"),
-    ("peer", "127.0.0.1", "address of the controller; packets of others are dropped"),
-    ("sentype", "IREC", "SENTYPE of the controller's ethernet XML"),
-    ("cycle_ms", 4, "4 (IPO_FAST) or 12 (IPO)"),
-    ("source", "chain", "chain: compute the offset in the loop's process; offset_topic: follow irec/offset"),
-    ("wrench_block", "", "chain: shared memory that can_ft_node writes; empty: the topic wrench or wrench_raw"),
-    ("offset_timeout", 0.05, "offset_topic: s without an offset"),
-    ("realtime_priority", 0, "SCHED_FIFO priority of the loop, 0: none"),
-    ("realtime_processor", -1, "processor that the loop stays on (isolcpus=), from 0; -1: any"),
-)
 
 
-class RsiNode(Node):
+class RsiNode(Guarded, LifecycleNode):
     """Creates the blocks, tells the loop its setup, publishes what it reports."""
+
+    _monitor: RsiMonitor
+    _inputs: RsiInputs
 
     def __init__(self, pipe: Connection) -> None:
         super().__init__("rsi_bridge")
-        parameters.declare(self)
-        for name, default, text in OWN:
-            self.declare_parameter(name, default, ParameterDescriptor(description=text))
+        own = {q.name for q in parameters.RSI}
+        fixed = [replace(q, settable=False) for q in parameters.CORRECTION if q.name not in own]  # the loop gets them once
+        self._p = p = Parameters(self, (*fixed, *parameters.RSI))
         refuse_unknown_parameters(self)
-        self._p = p = parameters.Values(self)
         self._pipe = pipe
+        self._status = self._diagnostics = Diagnostics(self)
+        self._clock_of_chain = ChainClock(self)
+        self._answers: list[str] = []
+        self._entities: list[tuple[Any, Any]] = []  # how it is destroyed, what
+        self._blocks: list[SharedValues] = []
+        self._configured = self._active = False
+        self._refused = ""  # why the last transition failed
+        if p["autostart"]:
+            self._configure_and_activate()
+
+    # -- lifecycle -----------------------------------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            self._configure()
+        except IrecError as error:
+            self._refused = str(error)
+            self.get_logger().error(f"not configured: {error}")
+            self._cleanup()
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._refused = self._ask("start")
+        if self._refused:
+            self.get_logger().error(f"not activated: {self._refused}")
+            return TransitionCallbackReturn.FAILURE
+        self._active = True
+        self._monitor.state = State.INACTIVE  # a fault that was is over; the loop tells what follows
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        if self._monitor.state is not State.FAULT:  # a fault stays one until somebody activates again
+            self._ask("stop")
+        self._active = False
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._cleanup()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._cleanup()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _configure(self) -> None:
+        p = self._p
         if not p["cell"]:
             raise SettingsError("parameter 'cell' is empty; name a cell file")
         self._cell = read_cell(p["cell"])
         self._serial = str(p["robot_serial"]) or self._cell.serial
         self._report, self._latency = SharedValues.create(REPORT_SIZE), SharedValues.create(KEPT)
-        self._wrench, self._offset_in = SharedValues.create(WRENCH_SIZE), SharedValues.create(OFFSET_SIZE)
-        self._answers: list[str] = []
+        self._blocks += [self._report, self._latency]
+        wrench_frame = str(p["sensor_frame"]) if p["raw_wrench"] else "tool0"
+        self._inputs = RsiInputs(
+            self._clock_of_chain, wrench_frame, p["watch.clock_tolerance"], max(p["watch.force_range"], p["watch.torque_range"]),
+            self._tell_refused,
+        )  # fmt: skip
+        self._mounted = Mounted(
+            self._cell.robot, self._serial, str(p["tool"]), p.three("gravity"), self._cell.payload, 1e-3 * p["cycle_ms"],
+            p["predicted_limit"], p["need_envelope"], str(p["rail_joint"]).removeprefix("ext_"),
+        )  # fmt: skip
+        self._blocks += [self._inputs.wrench, self._inputs.offset]
         names = list(self._cell.robot.joint_names)
-        self._monitor = RsiMonitor(self, self._report, self._latency, names, self._serial, p["source"] == "chain")
-        self.port = self._begin()
+        computes = p["source"] == "chain"
+        self._monitor = RsiMonitor(self, self._report, self._latency, names, self._serial, computes, self._status)
+        self._entities += self._monitor.entities
+        self._begin()
+        self._configured = True
         self._create()
         if p["model_path"]:
             why = self._put_in_force(str(p["model_path"]))
             if why:
                 raise SettingsError(why)
 
-    def _begin(self) -> int:
-        """Send the setup; the port that the loop listens on. Raises SettingsError where it can't."""
+    def _cleanup(self) -> None:
+        if self._configured:
+            self._ask("release")
+        self._configured = self._active = False
+        for destroy, entity in self._entities:
+            destroy(entity)
+        for block in self._blocks:
+            block.close()
+        self._entities.clear()
+        self._blocks.clear()
+
+    def _configure_and_activate(self) -> None:
+        """Raises SettingsError."""
+        steps = [self.trigger_configure]
+        if self._p["model_path"] or self._p["source"] == "offset_topic":  # there is something to follow
+            steps.append(self.trigger_activate)
+        for step in steps:
+            if step() is not TransitionCallbackReturn.SUCCESS:
+                raise SettingsError(self._refused)
+
+    def _begin(self) -> None:
+        """Send the setup. Raises SettingsError where the loop can't begin."""
         p = self._p
         source = str(p["source"])
         if source not in ("chain", "offset_topic"):
@@ -92,6 +169,11 @@ class RsiNode(Node):
         filters = parameters.filter_settings(p)
         if filters.rate > 1.0 / period:  # one reading per cycle goes through the chain, the newest
             self.get_logger().info(f"filters act at {1.0 / period:g} Hz, the rate of RSI, not at wrench_rate {filters.rate:g} Hz")
+            if len(filters.taps) != 1:
+                raise SettingsError(
+                    f"filter.taps are for wrench_rate {filters.rate:g} Hz; RSI passes {1.0 / period:g} readings a second:"
+                    " design the filter for that rate and set wrench_rate to it"
+                )
             filters = replace(filters, rate=1.0 / period)
         chain = None
         if source == "chain":
@@ -99,13 +181,15 @@ class RsiNode(Node):
                 correction=settings,
                 filters=filters,
                 urdf_text=self._cell.robot.urdf_text,
-                wrench_block=str(p["wrench_block"]) or self._wrench.name,
+                wrench_block=str(p["wrench_block"]) or self._inputs.wrench.name,
                 raw=bool(p["raw_wrench"]),
                 sensor_frame=str(p["sensor_frame"]),
                 load=parameters.tool_load(p),
                 cable=parameters.cable(p),
                 gravity=p.three("gravity"),
                 payload=self._cell.payload,
+                profile=parameters.profile(p, self._cell.robot),
+                preview_lead=p["preview.lead"],
             )
         link = Link(str(p["address"]), int(p["port"]), str(p["peer"]), str(p["sentype"]))
         self._pipe.send(
@@ -115,7 +199,7 @@ class RsiNode(Node):
                 self._report.name,
                 self._latency.name,
                 chain,
-                self._offset_in.name,
+                self._inputs.offset.name,
                 float(p["offset_timeout"]),
                 int(p["cycle_ms"]),
                 int(p["realtime_priority"]),
@@ -123,27 +207,30 @@ class RsiNode(Node):
             )  # fmt: skip
         )
         kind, content = self._pipe.recv()
-        if kind != "ready":
+        while kind not in ("ready", "failed"):  # the last words of a loop that was released may come first
+            kind, content = self._pipe.recv()
+        if kind == "failed":
             raise SettingsError(str(content))
         port, refused = content
         for text in refused:
             self.get_logger().warning(text)
         self.get_logger().info(f"answering {link.peer} on {link.address}:{port}, offset from {source}")
-        return int(port)
 
     def _create(self) -> None:
         p = self._p
+        made = self._entities
+        subscribe, serve = self.create_subscription, self.create_service
         if p["source"] == "chain":
-            self.create_service(ActivateModel, "irec/correction/activate_model", self._on_activate_model)
+            made.append((self.destroy_service, serve(ActivateModel, "irec/correction/activate_model", self._on_activate_model)))
             if not p["wrench_block"]:
                 topic = "wrench_raw" if p["raw_wrench"] else "wrench"
-                self._count = 0
-                self.create_subscription(WrenchStamped, topic, self._on_wrench, IN_QOS)
+                made.append((self.destroy_subscription, subscribe(WrenchStamped, topic, self._inputs.take_wrench, IN_QOS)))
         else:
-            self.create_subscription(TransformStamped, "irec/offset", self._on_offset, IN_QOS)
-            self._ask("start")
-        self.create_timer(1.0 / MONITOR_RATE, self._on_timer)
-        self.create_timer(1.0, self._monitor.tell_second)
+            take = self._inputs.take_offset
+            made.append((self.destroy_subscription, subscribe(TransformStamped, "irec/offset", take, IN_QOS)))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        for period, callback in ((1.0 / MONITOR_RATE, self._on_timer), (1.0, self._on_second)):
+            made.append((self.destroy_timer, self.create_timer(period, callback, clock=steady)))
 
     # -- commands to the loop ------------------------------------------------------------------------------------------
 
@@ -164,64 +251,70 @@ class RsiNode(Node):
             if kind == "answer":
                 self._answers.append(content)
                 return
-            self._monitor.hear(kind, content)
+            self._monitor.take(kind, content)
 
     def _put_in_force(self, path: str) -> str:
         try:
-            model, digest = load_model(path), file_sha256(path)
-            check_mounted(model, self._cell.robot, self._serial, str(self._p["tool"]))
-            affordable(model, self._cell.robot, self._p.three("gravity"), self._cell.payload, 1e-3 * self._p["cycle_ms"])
-        except (IrecError, OSError) as error:
+            checked = read_checked(path, self._mounted)
+        except IrecError as error:
             return str(error)
-        why = self._ask("model", model)
+        why = self._ask("model", checked.model)
         if not why:
-            self._monitor.digest = digest
+            self._monitor.digest = checked.sha256
+        return why
+
+    def _put_in_force_and_start(self, path: str) -> str:
+        why = self._put_in_force(path)
+        if not why and self._active:
             why = self._ask("start")
+        elif not why and (self._p["autostart"] or self._monitor.state is State.FAULT):
+            why = "" if self.trigger_activate() is TransitionCallbackReturn.SUCCESS else self._refused
         return why
 
     def _on_activate_model(self, request: ActivateModel.Request, response: ActivateModel.Response) -> ActivateModel.Response:
-        response.message = self._put_in_force(request.model_path) if request.model_path else self._ask("stop")
+        response.message = self._put_in_force_and_start(request.model_path) if request.model_path else self._ask("stop")
         response.success = not response.message
         response.sha256 = self._monitor.digest if response.success and request.model_path else ""
         return response
-
-    # -- into the loop -------------------------------------------------------------------------------------------------
-
-    def _on_wrench(self, message: WrenchStamped) -> None:
-        f, t = message.wrench.force, message.wrench.torque
-        self._count += 1
-        self._wrench.write(np.array([time.monotonic(), self._count, 0.0, f.x, f.y, f.z, t.x, t.y, t.z]))
-
-    def _on_offset(self, message: TransformStamped) -> None:
-        t, r = message.transform.translation, message.transform.rotation
-        if message.header.frame_id != "base_link":
-            self.get_logger().warning(
-                f"offset in frame '{message.header.frame_id}' ignored; base_link is needed", throttle_duration_sec=5.0
-            )
-            return
-        w = r.w if r.w >= 0.0 else -r.w
-        sign = 1.0 if r.w >= 0.0 else -1.0
-        v = sign * np.array([r.x, r.y, r.z])
-        sine = float(np.linalg.norm(v))
-        turn = v * (2.0 * np.arctan2(sine, w) / sine) if sine > 1e-12 else 2.0 * v
-        self._offset_in.write(np.array([time.monotonic(), 1.0, t.x, t.y, t.z, *turn]))
 
     # -- out of the loop -----------------------------------------------------------------------------------------------
 
     def _on_timer(self) -> None:
         self._listen(0.0)
-        self._monitor.tell()
+        self._monitor.publish()
+        if self._monitor.state is State.FAULT and self._active and self._p["source"] == "chain":
+            self.trigger_deactivate()  # stays in FAULT; so "activate" is what the operator can ask for
+
+    def _on_second(self) -> None:
+        refused = [f.text for f in self._inputs.refused.values()]
+        errors = [f"{where}: {text}" for where, text in self.errors.items()]
+        self._monitor.publish_diagnostics("; ".join(refused + errors))
+
+    def on_error(self, where: str, error: Exception) -> None:
+        """A loop that can't be reached any more ends the node; anything else fades the offset out, unless a service failed."""
+        if isinstance(error, (EOFError, BrokenPipeError)):
+            rclpy.try_shutdown()
+        elif self._configured and not where.startswith("service"):
+            self._tell_refused(where, Finding(Fault.INTERNAL, f"unexpected error in {where}: {type(error).__name__}: {error}"))
+
+    def _tell_refused(self, source: str, finding: Finding | None) -> None:
+        """The loop does not answer that."""
+        if finding is not None:
+            self.get_logger().warning(f"{source} is not used: {finding.text}", throttle_duration_sec=5.0)
+        self._pipe.send(("refused", (source, finding)))
 
     def close(self) -> None:
         """Remove the blocks; the loop keeps its own hold on them."""
-        for block in (self._report, self._latency, self._wrench, self._offset_in):
+        for block in self._blocks:
             block.close()
+        self._blocks.clear()
 
 
 def main(pipe: Connection, arguments: list[str]) -> int:
     """Run the node; exit code."""
-    if not begin("rsi_bridge", args=arguments):
+    if not begin("rsi_bridge", args=arguments, signal_handler_options=SignalHandlerOptions.NO):
         return 2
+    asked_to_stop = stop_on_signals()
     try:
         node = RsiNode(pipe)
     except Exception as error:  # IrecError, and whatever rclpy raises for parameters out of range
@@ -233,10 +326,7 @@ def main(pipe: Connection, arguments: list[str]) -> int:
     executor = EventsExecutor()
     executor.add_node(node)
     try:
-        while rclpy.ok():
-            executor.spin_once(timeout_sec=1.0)
-    except (KeyboardInterrupt, ExternalShutdownException, EOFError, BrokenPipeError):
-        pass
+        spin_until(asked_to_stop, node.guarded("executor", executor.spin_once))
     finally:
         node.close()
         rclpy.try_shutdown()

@@ -8,7 +8,7 @@ from typing import Any
 
 from irec_calibration.commands.tool_load import describe
 from irec_calibration.errors import IrecError
-from irec_calibration.tool_load import ToolLoad
+from irec_calibration.sensors.tool_load import ToolLoad
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 

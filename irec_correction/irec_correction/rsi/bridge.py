@@ -2,6 +2,7 @@
 """The process of the RSI loop: commands come through a pipe, measurements go through shared memory, and it outlives whoever
 started it.
 
+A process serves one setup after another: `release` ends a loop, and the next setup begins one.
 When the other side goes away the offset fades out and the loop goes on answering with zero, so that the robot is not stopped
 by its own time-out. On SIGINT or SIGTERM it fades out, then ends.
 """
@@ -18,13 +19,14 @@ from irec_calibration.errors import IrecError
 
 from ..correction import CorrectionSettings
 from ..realtime import prefer_processor, prefer_thread, settle_memory
+from ..setups import next_setup
 from ..shared import SharedValues
 from ..state import State
 from .loop import Link, RsiLoop
 from .report import KEPT, REPORT_SIZE
 from .sources import OFFSET_SIZE, ChainSettings, ChainSource, GivenSource
 
-LAST_WORDS = 1.0  # s beyond the fade time within which the loop ends after a signal
+SHUTDOWN_MARGIN = 1.0  # s beyond the fade time within which the loop ends after a signal
 
 
 @dataclass(frozen=True)
@@ -65,26 +67,34 @@ class Bridge:
             self._blocks.append(block)
             self.source = GivenSource(setup.correction, block, setup.offset_timeout)
         self.loop = RsiLoop(setup.link, self.source, report, latency, setup.cycle_ms)
-        self._told: tuple[State, str] | None = None
+        self._state_sent: tuple[State, str] | None = None
         self._problem = ""
         self._fade = setup.correction.times.fade
         self._end: float | None = None
+        self.stopped = False  # by a signal or by the end of the other side, not by `release`
 
     def run(self) -> None:
-        """Answer until a signal, then until the offset has gone."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
+        """Answer until a signal or `release`, then until the offset has gone."""
+        before = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
-            self.loop.run(self._goes_on)
+            self.loop.run(self._continue)
         finally:
             self.loop.close()
+            for block in self._blocks:
+                block.close()
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def _on_signal(self, number: int, frame: object) -> None:
+        self.stopped = True
+        self._fade_and_end()
+
+    def _fade_and_end(self) -> None:
         if self._end is None:
-            self._end = time.monotonic() + self._fade + LAST_WORDS
+            self._end = time.monotonic() + self._fade + SHUTDOWN_MARGIN
             self.source.stop(time.monotonic())
 
-    def _goes_on(self) -> bool:
+    def _continue(self) -> bool:
         if self._pipe is not None:
             self._exchange(self._pipe)
         if self._end is None:
@@ -94,20 +104,25 @@ class Bridge:
     def _exchange(self, pipe: Connection) -> None:
         try:
             if pipe.poll(0):
-                pipe.send(("answer", self._obey(*pipe.recv())))
+                command, argument = pipe.recv()
+                if command == "refused":
+                    self.source.refuse(*argument)
+                else:
+                    pipe.send(("answer", self._execute(command, argument)))
             now = (self.source.state, self.source.reason)
-            if now[0] is not (self._told[0] if self._told else None):
-                self._told = now
+            sent = self._state_sent  # a reason changes with each value of a running fault; what is waited for does not
+            if sent is None or now[0] is not sent[0] or (now[0] is State.INACTIVE and now[1] != sent[1]):
+                self._state_sent = now
                 pipe.send(("state", (int(now[0]), now[1])))
             if self.loop.problem != self._problem:
                 self._problem = self.loop.problem
                 pipe.send(("problem", self._problem))
         except (EOFError, OSError):
-            self._pipe = None
+            self._pipe, self.stopped = None, True
             self.source.stop(time.monotonic())
             print("rsi_bridge: the ROS side has gone; the offset fades out, packets are answered with zero", file=sys.stderr)
 
-    def _obey(self, command: str, argument: object = None) -> str:
+    def _execute(self, command: str, argument: object = None) -> str:
         """Carry out a command; empty, or why not."""
         now = time.monotonic()
         try:
@@ -118,6 +133,8 @@ class Bridge:
                     self.source.start(now)
                 case "stop":
                     self.source.stop(now)
+                case "release":
+                    self._fade_and_end()
                 case other:
                     return f"the RSI loop can't {other} here"
         except IrecError as error:
@@ -126,20 +143,19 @@ class Bridge:
 
 
 def run_bridge(pipe: Connection) -> int:
-    """Body of the process: receive a BridgeSetup (or None: end) through the pipe, then answer. Exit code."""
-    try:
-        setup = pipe.recv()
-    except (EOFError, KeyboardInterrupt):
-        return 2
-    if setup is None:
-        return 2
-    refused = [prefer_thread(setup.priority), prefer_processor(setup.processor)]
-    try:
-        bridge = Bridge(setup, pipe)
-    except IrecError as error:
-        pipe.send(("failed", str(error)))
-        return 2
-    refused += settle_memory()
-    pipe.send(("ready", (bridge.loop.port, [r for r in refused if r])))
-    bridge.run()
-    return 0
+    """Body of the process: receive a BridgeSetup (or None: end) through the pipe, answer, and again. Exit code."""
+    while True:
+        setup, code = next_setup(pipe)
+        if setup is None:
+            return code
+        refused = [prefer_thread(setup.priority), prefer_processor(setup.processor)]
+        try:
+            bridge = Bridge(setup, pipe)
+        except IrecError as error:
+            pipe.send(("failed", str(error)))
+            continue
+        refused += settle_memory()
+        pipe.send(("ready", (bridge.loop.port, [r for r in refused if r])))
+        bridge.run()
+        if bridge.stopped:
+            return 0

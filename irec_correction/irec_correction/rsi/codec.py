@@ -16,9 +16,9 @@ from irec_calibration.typing import Array
 from ..errors import ProtocolError
 
 MM, DEG = 1e-3, math.pi / 180.0
-_NUMBER = rb'"\s*([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*"'
-_IPOC = re.compile(rb"<IPOC>\s*(\d+)\s*</IPOC>")
-_DELAY = re.compile(rb'<Delay\s+D\s*=\s*"\s*(\d+)\s*"')
+_NUMBER = rb'"\s*([-+]?[0-9.]{1,24}(?:[eE][-+]?\d{1,2})?)\s*"'
+_IPOC = re.compile(rb"<IPOC>\s*(\d{1,15})\s*</IPOC>")  # ms since the controller started, or since 1970
+_DELAY = re.compile(rb'<Delay\s+D\s*=\s*"\s*(\d{1,9})\s*"')
 
 
 def _attributes(tag: bytes, names: str) -> re.Pattern[bytes]:

@@ -6,8 +6,8 @@ only brings IPOC and Delay. So the time to answer is hardly more than that of an
 packet before. Everything else, reading the packet included, comes after the answer.
 
 When several packets wait in the socket, the loop was held up; only the newest is answered (the controller has counted the
-others as late already, and refuses an answer with their IPOC). What may be answered after late and lost packets: see holding.py.
-A packet from anybody but the peer is dropped and counted.
+others as late already, and refuses an answer with their IPOC). What may be answered after late and lost packets: see sequence.py.
+A packet from anybody but the peer, or from another port of it while its session goes on (peer.py), is dropped and counted.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from irec_calibration.typing import Array
 from ..errors import CorrectionError, ProtocolError, SettingsError
 from ..shared import SharedValues
 from .codec import RobotPacket, decode_robot, stamp_of
-from .conversation import Conversation
-from .holding import RESTART
+from .peer import PeerPort
 from .report import KEPT, REPORT_SIZE, WHERE
+from .session import RsiSession
 from .sources import OffsetSource
 
 PACKET_SIZE = 4096
@@ -43,7 +43,7 @@ class Link:
 
     Attributes:
         address: of this machine on the robot's network, and port; never 0.0.0.0.
-        peer: address of the controller; its port may change.
+        peer: address of the controller; its port may be another one in each session.
         sentype: name that the controller's ethernet XML expects.
     """
 
@@ -66,11 +66,11 @@ class Link:
 
 @dataclass
 class LoopCounts:
-    """What happened in the socket; `Holding` counts what happened on the way.
+    """What happened in the socket; `Sequence` counts what happened on the way.
 
     Attributes:
         late_here: packets that waited behind a newer one; late_there: what the controller counts (Delay).
-        foreign: packets of somebody else; bad: unreadable.
+        foreign: packets of another address or port; bad: unreadable.
         latency: seconds from receipt to answer, the last KEPT ones.
     """
 
@@ -115,19 +115,20 @@ class RsiLoop:
         # a time-out of the system, not of Python: that one would add a poll() to each call, and wait in spite of MSG_DONTWAIT
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 0, int(IDLE * 1e6)))
         self.port = self._socket.getsockname()[1]
-        self.talk = Conversation(source, link.sentype, cycle_ms)
+        self.session = RsiSession(source, link.sentype, cycle_ms)
         self.problem = ""
         self._due = -math.inf
-        self._last_packet = time.monotonic()
+        self._peer = PeerPort(self._cycle, time.monotonic())
 
-    def run(self, goes_on: Callable[[], bool]) -> None:
-        """Answer until `goes_on` (asked after each packet or idle time) says no."""
-        while goes_on():
+    def run(self, is_running: Callable[[], bool]) -> None:
+        """Answer until `is_running` (asked after each packet or idle time) says no."""
+        while is_running():
             self.once()
 
     def once(self) -> bool:
         """Get an answer ready, wait for a packet, answer it; False after idle time or a packet that is not answered."""
-        if self.talk.wants_tick:
+        session = self.session
+        if session.wants_tick:
             self._get_ready()
         try:
             packet, sender = self._socket.recvfrom(PACKET_SIZE)
@@ -135,71 +136,87 @@ class RsiLoop:
             return False
         began = time.perf_counter()
         now = time.monotonic()
+        ours = self._is_peer(sender, now)
         # in time there can be no other one behind it; at the beginning the first one that came is needed, its Delay is 0
-        if now > self._due + LATE * self._cycle and self.talk.holding.in_session:
-            packet, sender = self._newest(packet, sender)
-        if sender[0] != self.link.peer:
-            self.counts.foreign += 1
+        if now > self._due + LATE * self._cycle and session.sequence.in_session:
+            packet, sender, ours = self._newest(packet, sender, ours, now)
+        if not ours:
             return False
         stamp = stamp_of(packet)
         if stamp is None:
             self.counts.bad += 1
             return False
-        reply = self.talk.reply(*stamp, now - self._last_packet > RESTART * self._cycle)
+        reply = session.reply(*stamp, now, self._peer.is_fresh)
         if reply is not None:
             self._socket.sendto(reply, sender)
             c = self.counts
             c.latency[c.answered % KEPT] = time.perf_counter() - began
             c.answered += 1
-        self._last_packet = now = time.monotonic()
-        self._due = now + self._cycle
-        self.talk.settle(now)
-        self._learn(packet, now)
+            now = time.monotonic()
+            self._due = now + self._cycle
+            session.finish(now)
+        self._after(packet, stamp[0] == session.sequence.newest, now)
         return reply is not None
+
+    def _is_peer(self, sender: tuple[str, int], now: float) -> bool:
+        """Whether a packet is one of the controller's; counts it where it is not."""
+        if sender[0] == self.link.peer:
+            port = self._peer.port
+            if sender[1] == port:
+                self._peer.admit(port, now)
+                return True
+            if self._peer.admit(sender[1], now):
+                self.session.sequence.other_peer()
+                self._due = -math.inf
+                return True
+        self.counts.foreign += 1
+        return False
 
     def _get_ready(self) -> None:
         """Wait until shortly before the next packet, then compute."""
         wait = self._due - AHEAD * self._cycle - time.monotonic()
         if not select.select([self._socket], [], [], max(0.0, wait))[0]:
-            self.talk.tick(time.monotonic())
+            self.session.tick(time.monotonic())
 
-    def _learn(self, packet: bytes, now: float) -> None:
-        """Read the whole packet, after it has been answered."""
+    def _after(self, packet: bytes, in_sequence: bool, now: float) -> None:
+        """Read the whole packet, after it has been answered; one of another time says nothing about the robot."""
+        self.problem = self.session.sequence.problem
+        if not in_sequence:
+            return
         try:
             state = decode_robot(packet)
         except ProtocolError as error:
             self.counts.bad += 1
             self.problem = str(error)
             return
-        self.problem = self.talk.holding.problem
         self.counts.late_there = state.late
         self.source.take(state, now)
         if self._report is not None:
             self._write_report(self._report, state, now)
 
-    def _newest(self, packet: bytes, sender: tuple[str, int]) -> tuple[bytes, tuple[str, int]]:
-        """The packet of the peer with the latest IPOC that waits in the socket, otherwise the one given."""
+    def _newest(self, packet: bytes, sender: tuple[str, int], ours: bool, now: float) -> tuple[bytes, tuple[str, int], bool]:
+        """The packet of the peer with the latest IPOC that waits in the socket, otherwise the one given; and whether it is the
+        peer's."""
         while True:
             try:
                 other, who = self._socket.recvfrom(PACKET_SIZE, socket.MSG_DONTWAIT)
             except BlockingIOError:
-                return packet, sender
-            if who[0] != self.link.peer:
-                self.counts.foreign += 1
-            elif sender[0] != self.link.peer:
-                self.counts.foreign += 1
-                packet, sender = other, who
-            elif self.talk.holding.is_newer(stamp_of(packet), stamp_of(other)):
+                return packet, sender, ours
+            if not self._is_peer(who, now):
+                continue
+            if not ours or who != sender:
+                packet, sender, ours = other, who, True
+            elif self.session.sequence.is_newer(stamp_of(packet), stamp_of(other)):
                 self.counts.late_here += 1
-                packet, sender = other, who
+                packet = other
 
     def _write_report(self, report: SharedValues, state: RobotPacket, now: float) -> None:
-        c, v, talk, sent = self.counts, self._values, self.talk, self.talk.holding.sent
-        h = talk.holding
+        c, v, session, s = self.counts, self._values, self.session, self.session.sequence
+        sent = s.sent
         v[WHERE["now"]] = now
         v[WHERE["link"]] = (
-            c.answered, c.late_here, c.late_there, h.lost, c.foreign, c.bad, h.sessions, h.doubled, h.not_taken,
-            talk.repeated, talk.unanswered,
+            c.answered, c.late_here, c.late_there, s.lost, c.foreign, c.bad, s.sessions, s.duplicate, s.out_of_sequence,
+            s.not_taken, session.repeated, session.unanswered,
         )  # fmt: skip
         self.source.report(v)
         v[WHERE["translation"]], v[WHERE["rotation"]] = sent.translation, sent.rotation

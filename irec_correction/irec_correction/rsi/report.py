@@ -11,8 +11,8 @@ from ..watchdog import Fault
 
 # of the link, then of the chain (see correction.Counts); names are keys in /diagnostics
 LINK_COUNTS = (
-    "answered", "late_here", "late_at_controller", "lost", "foreign", "unreadable", "sessions", "doubled", "not_taken",
-    "repeated", "unanswered",
+    "answered", "late_here", "late_at_controller", "lost", "foreign", "unreadable", "sessions", "duplicate",
+    "out_of_sequence", "not_taken", "repeated", "unanswered",
 )  # fmt: skip
 CHAIN_COUNTS = ("ticks", "limited", "held", "late")
 FAULTS = tuple(Fault)

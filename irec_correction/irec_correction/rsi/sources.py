@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from irec_calibration.model import Model
 from irec_calibration.robot import Payload, Robot
-from irec_calibration.tool_load import ToolLoad
+from irec_calibration.sensors.tool_load import ToolLoad
 from irec_calibration.typing import Array
 
 from ..conditioning import Cable, Conditioner, FilterSettings, make_filters, sensor_in_tool
@@ -18,13 +18,14 @@ from ..correction import Correction, CorrectionSettings, Counts, Output
 from ..deflection import Deflection
 from ..errors import CorrectionError
 from ..limits import OffsetLimiter
+from ..preview import ForceProfile, Preview
 from ..shared import WRENCH_SIZE, SharedValues
 from ..spring_chain import build_chain
-from ..state import State, Supervisor
+from ..state import ZERO_OFFSET, State, Supervisor
 from ..watchdog import Fault, Finding
 from .codec import RobotPacket
-from .holding import per_answer
 from .report import FAULTS, WHERE
+from .sequence import per_answer
 
 # offset block: time (CLOCK_MONOTONIC), wanted (0 or 1), translation(3), rotation vector(3)
 OFFSET_SIZE = 8
@@ -47,16 +48,20 @@ class OffsetSource(Protocol):
         """Translation (3,), m, and rotation vector (3,), rad, for the next answer; called once per packet."""
         ...
 
-    def restart(self, now: float) -> None:
+    def start_session(self, now: float) -> None:
         """A new RSI session: the robot applies no offset yet."""
         ...
 
-    def settle(self, translation: Array, rotation: Array) -> None:
+    def resynchronise(self, translation: Array, rotation: Array) -> None:
         """The robot stands at this offset, (3,) m and (3,) rad: go on from there, from rest."""
         ...
 
     def report(self, values: Array) -> None:
         """Write what the chain did into a block, see report.py."""
+        ...
+
+    def refuse(self, source: str, finding: Finding | None) -> None:
+        """Somebody else found that an input can't be used; None: it can again."""
         ...
 
     def start(self, now: float) -> None: ...
@@ -71,6 +76,7 @@ class ChainSettings:
     Attributes:
         urdf_text: robot description. payload: on tool0, for effects that depend on the total torque.
         wrench_block: name of the shared memory that the sensor's process writes.
+        profile, preview_lead: force that is known along the course, and s from a reading to the motion that it causes.
         raw: the block holds readings in `sensor_frame`; otherwise wrenches at the TCP.
     """
 
@@ -84,6 +90,8 @@ class ChainSettings:
     cable: Cable = Cable()
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     payload: Payload | None = None
+    profile: ForceProfile | None = None
+    preview_lead: float = 0.0
 
 
 class ChainSource:
@@ -96,6 +104,8 @@ class ChainSource:
         conditioner = Conditioner(make_filters(settings.filters), sensor, settings.load, settings.cable, settings.gravity)
         correction = replace(settings.correction, limits=per_answer(settings.correction.limits))
         self.chain = Correction(correction, robot, conditioner)
+        if settings.profile is not None:
+            self.chain.preview = Preview(settings.profile, settings.preview_lead, make_filters(settings.filters))
         self._robot, self._gravity, self._payload = robot, settings.gravity, settings.payload
         build_chain(robot)  # the first time takes longer than a cycle
         self._out: Output | None = None
@@ -123,19 +133,25 @@ class ChainSource:
     def stop(self, now: float) -> None:
         self.chain.stop(now)
 
+    def refuse(self, source: str, finding: Finding | None) -> None:
+        if finding is None:
+            self.chain.watchdog.clear(source)
+        else:
+            self.chain.watchdog.refuse(source, finding.fault, finding.text)
+
     def take(self, packet: RobotPacket, now: float) -> None:
         self.chain.take_joints(now, now, packet.q, float(packet.external[0]))
 
-    def restart(self, now: float) -> None:
-        self.chain.restart(now)
+    def start_session(self, now: float) -> None:
+        self.chain.start_session(now)
 
     def offset(self, now: float) -> tuple[Array, Array]:
         self._take_wrench(now)
         self._out = out = self.chain.tick(now)
         return out.translation, out.rotation
 
-    def settle(self, translation: Array, rotation: Array) -> None:
-        self.chain.settle(translation, rotation)
+    def resynchronise(self, translation: Array, rotation: Array) -> None:
+        self.chain.resynchronise(translation, rotation)
 
     def report(self, values: Array) -> None:
         c, faults = self.chain.counts, self.chain.watchdog.counters
@@ -167,7 +183,11 @@ class ChainSource:
 
 class GivenSource:
     """Offsets that another process writes, for example from the topic irec/offset: limited again here, held, then faded when
-    stale."""
+    stale.
+
+    Asked to start, it waits for the first sound offset. After a FAULT it starts again when an offset of zero comes: whoever gives
+    the offsets has been started again by its operator.
+    """
 
     def __init__(self, settings: CorrectionSettings, block: SharedValues, timeout: float) -> None:
         """Args: timeout: s without a new offset."""
@@ -180,6 +200,8 @@ class GivenSource:
         self._wanted = np.zeros(6)
         self._counts, self._faults = Counts(), Counter[Fault]()
         self._standing: Fault | None = None
+        self._wants = False
+        self._refused: dict[str, Finding] = {}
 
     @property
     def state(self) -> State:
@@ -190,12 +212,30 @@ class GivenSource:
         return self._supervisor.reason
 
     def start(self, now: float) -> None:
+        self._wants = True
+        self._refused = {s: f for s, f in self._refused.items() if f.fault is not Fault.INTERNAL}
         if self.state is State.FAULT:
-            self._supervisor.stop(now, self._present)
-        self._supervisor.start(now, self._present)
+            self._supervisor.stop(now, self._present, "waiting for an offset")
+        elif self.state is State.INACTIVE:
+            self._supervisor.reason = "waiting for the first offset"
 
     def stop(self, now: float) -> None:
+        self._wants = False
         self._supervisor.stop(now, self._present)
+
+    def refuse(self, source: str, finding: Finding | None) -> None:
+        if finding is None:
+            self._refused.pop(source, None)
+        else:
+            self._refused[source] = finding
+
+    def _start_when_sound(self, now: float) -> None:
+        if not self._wants:
+            return
+        if self.state is State.FAULT and not np.any(np.abs(self._wanted) > ZERO_OFFSET):
+            self._supervisor.stop(now, self._present)
+        if self.state is State.INACTIVE:
+            self._supervisor.start(now, self._present)
 
     @property
     def _present(self) -> Array:
@@ -204,12 +244,12 @@ class GivenSource:
     def take(self, packet: RobotPacket, now: float) -> None:
         """Nothing: whoever gives the offset knows where the robot is."""
 
-    def restart(self, now: float) -> None:
+    def start_session(self, now: float) -> None:
         self._limiter.reset()
-        self._supervisor.restart_ramp(now, self._present, "the robot has begun anew")
+        self._supervisor.restart_ramp(now, self._present, "a new RSI session has begun")
 
-    def settle(self, translation: Array, rotation: Array) -> None:
-        self._limiter.settle(translation, rotation)
+    def resynchronise(self, translation: Array, rotation: Array) -> None:
+        self._limiter.resynchronise(translation, rotation)
 
     def report(self, values: Array) -> None:
         c = self._counts
@@ -217,6 +257,8 @@ class GivenSource:
         values[WHERE["faults"]] = [self._faults[f] for f in FAULTS]
 
     def _finding(self, now: float) -> Finding | None:
+        if self._refused:
+            return next(iter(self._refused.values()))
         if not self._block.read(self._values) or not 0.0 <= now - self._values[0] + 1e-3 <= self._timeout:
             age = f"for {now - self._values[0]:.3f} s" if self._block.version else "yet"
             return Finding(Fault.OFFSET_STALE, f"no offset {age}, limit {self._timeout} s")
@@ -228,6 +270,7 @@ class GivenSource:
         finding = self._finding(now)
         if finding is None:
             self._wanted = self._values[2:8].copy()
+            self._start_when_sound(now)
         elif finding.fault is not self._standing:
             self._faults[finding.fault] += 1
         self._standing = finding.fault if finding is not None else None

@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from rcl_interfaces.msg import ParameterDescriptor
+from irec_ros.parameters import P, Parameters
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
@@ -21,6 +21,7 @@ from .robot_side import Order, RobotSide
 SPEED_SHARE = 0.25  # of the joint velocity limits, to the start of the course
 LINEAR_SPEED = 0.1  # m/s, from above the start onto it, and back at the end
 SETTLING_TIME = 1.0  # s that the robot stands after the force has come or gone
+PARAMETERS = (P("course_csv", "course.csv", "file that sim/run_course writes the true path of the TCP to", settable=True),)
 SAMPLE_STEPS = 5  # steps of the cell between samples of the record
 
 
@@ -31,8 +32,7 @@ class CourseSide:
         self, node: Node, cell: Cell, loop: SimulationLoop, robot: RobotSide, asked_to_stop: threading.Event
     ) -> None:
         self._node, self._cell, self._loop, self._robot, self._asked_to_stop = node, cell, loop, robot, asked_to_stop
-        description = "file that sim/run_course writes the true path of the TCP to; can be set at any time"
-        node.declare_parameter("course_csv", "course.csv", ParameterDescriptor(description=description))
+        self._parameters = Parameters(node, PARAMETERS)
         node.create_service(Trigger, "sim/run_course", self._on_run)
         node.create_service(Trigger, "sim/clear_fault", self._on_clear)
         self._plan: CoursePlan | None = None
@@ -84,7 +84,7 @@ class CourseSide:
         return response
 
     def _run(self) -> Path:
-        path = Path(str(self._node.get_parameter("course_csv").value)).absolute()
+        path = Path(self._parameters["course_csv"]).absolute()
         cell = self._cell
         plan = plan_course(cell.cell)
         self._samples, self._way, self._steps = [], 0.0, 0

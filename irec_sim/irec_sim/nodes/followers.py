@@ -24,9 +24,9 @@ class Followers:
 
     def may_go_on(self, now: float) -> bool:
         """Whether every living follower has worked off everything up to `max_lead` before now (s)."""
-        for name, (done, told) in list(self._seen.items()):
+        for name, (done, since) in list(self._seen.items()):
             if now - done > self._max_lead:
-                if time.monotonic() - told < PATIENCE:
+                if time.monotonic() - since < PATIENCE:
                     return False
                 del self._seen[name]
                 self._node.get_logger().warning(f"follower {name} is silent for {PATIENCE:.0f} s and not waited for any more")

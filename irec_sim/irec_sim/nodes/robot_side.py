@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import TransformStamped, WrenchStamped
+from irec_ros.guard import GuardedNode
+from irec_ros.moves import answer_move
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from irec_msgs.action import Move
@@ -22,6 +23,7 @@ from irec_msgs.srv import SetControlMode
 from ..cell import Cell
 from ..errors import SimError
 from ..kinematics import rotation_of_quaternion, rotation_vector
+from ..lease import ForceLease, LeaseSettings
 from ..motion import Move as Motion
 from ..motion import joint_move, linear_move
 from .loop import SimulationLoop
@@ -46,15 +48,18 @@ class Order:
     feedback: Callable[[float], None]
     ended: Callable[[float, str], None]
     since: float = 0.0
-    told: float = 0.0
+    fed_back: float = 0.0
 
 
 class RobotSide:
     """Commands from topics, services and actions, carried to the plant between its steps."""
 
-    def __init__(self, node: Node, cell: Cell, loop: SimulationLoop, rail_speed: float) -> None:
+    def __init__(self, node: GuardedNode, cell: Cell, loop: SimulationLoop, rail_speed: float, lease: LeaseSettings) -> None:
         """rail_speed: velocity limit of the rail, m/s."""
         self._node, self._cell, self._loop, self.rail_speed = node, cell, loop, rail_speed
+        self.lease = ForceLease(cell, lease)
+        self.retreat_message = ""  # why the robot has left the contact by itself, until the next mode switch
+        self._retreating = False
         self._running: Order | None = None
         self._outcome: dict[bytes, tuple[float, str]] = {}  # share of the way and problem, by id of the goal
         depth = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -62,8 +67,8 @@ class RobotSide:
             node,
             Move,
             "robot/move",
-            execute_callback=self._answer_move,
-            handle_accepted_callback=self._accepted,
+            execute_callback=node.guarded("action robot/move", self._answer_move, _not_answered),
+            handle_accepted_callback=node.guarded("goal of robot/move", self._accepted, self._not_begun),
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
         node.create_service(SetControlMode, "robot/set_control_mode", self._on_mode)
@@ -74,8 +79,14 @@ class RobotSide:
     def in_motion(self) -> bool:
         return self._running is not None
 
+    @property
+    def retreating(self) -> bool:
+        """A force set point has run out and the robot is on its way out of the contact."""
+        return self._retreating or self.lease.ramping
+
     def before_step(self) -> None:
         """Put the commanded position of the move under way; called in the thread of the simulation."""
+        self._watch_lease()
         run = self._running
         if run is None:
             return
@@ -88,12 +99,29 @@ class RobotSide:
             run.motion.way.stop(t)
         self._cell.command(*run.motion.at(run.motion.way.distance(t)))
         fraction = run.motion.fraction(t)
-        if t - run.told >= FEEDBACK_PERIOD:
-            run.told = t
+        if t - run.fed_back >= FEEDBACK_PERIOD:
+            run.fed_back = t
             run.feedback(fraction)
         if run.motion.way.done(t - ARRIVAL_TIME):
             self._running = None
             run.ended(fraction, "")
+
+    def _watch_lease(self) -> None:
+        try:
+            way_out = self.lease.step()
+        except SimError as error:
+            self.retreat_message = f"{self.lease.reason}; but the way back is barred: {error}"
+            return
+        if way_out is None:
+            return
+        self.retreat_message, self._retreating = self.lease.reason, True
+        self._node.get_logger().warning(self.retreat_message)
+
+        def ended(_: float, problem: str) -> None:
+            self._retreating = False
+            self.retreat_message += f"; {problem}" if problem else ""
+
+        self._running = Order(way_out, lambda: False, lambda _: None, ended, self._cell.time)
 
     def begin(self, order: Order) -> None:
         """Start a move; from any thread. SimError in force control or while another move is under way."""
@@ -117,16 +145,12 @@ class RobotSide:
         except SimError as error:
             ended(0.0, str(error))
 
+    def _not_begun(self, error: Exception, handle: ServerGoalHandle) -> None:
+        self._outcome[bytes(handle.goal_id.uuid)] = 0.0, f"unexpected error: {type(error).__name__}: {error}"
+        handle.execute()
+
     def _answer_move(self, handle: ServerGoalHandle) -> Move.Result:
-        fraction, problem = self._outcome.pop(bytes(handle.goal_id.uuid))
-        if problem:
-            handle.abort()
-            return Move.Result(success=False, message=problem)
-        if handle.is_cancel_requested:
-            handle.canceled()
-            return Move.Result(success=False, message=f"cancelled after {100 * fraction:.0f} % of the way")
-        handle.succeed()
-        return Move.Result(success=True)
+        return answer_move(handle, *self._outcome.pop(bytes(handle.goal_id.uuid)))
 
     def _start(self, handle: ServerGoalHandle, ended: Callable[[float, str], None]) -> None:
         self._refuse_unless_free()
@@ -144,6 +168,8 @@ class RobotSide:
     def _refuse_unless_free(self) -> None:
         if self._cell.mode == RobotState.MODE_FAULT:
             raise SimError(FAULT_REASON)
+        if self.retreating:
+            raise SimError("the robot is leaving the contact by itself: no force set point came in time")
         if self._cell.mode != RobotState.MODE_POSITION:
             raise SimError("moves are refused in force control; switch to position control first")
         if self._running is not None:
@@ -186,15 +212,21 @@ class RobotSide:
         force = np.array([f.x, f.y, f.z])
 
         def switch() -> None:
+            if self.retreating:
+                raise SimError("the robot is leaving the contact by itself: no force set point came in time")
             if self._running is not None:
                 raise SimError("a move is under way; cancel it before switching the control mode")
             if request.mode == SetControlMode.Request.FORCE:
                 self._cell.control_force(_finite(force, "first set point"))
-            elif request.mode == SetControlMode.Request.POSITION:
-                self._cell.control_position()
-            else:
+            elif request.mode != SetControlMode.Request.POSITION:
                 raise SimError(f"control mode {request.mode} is not known; 0 is POSITION, 1 is FORCE")
+            elif self._cell.mode != RobotState.MODE_POSITION:
+                self._cell.control_position()
+            self.lease.renew()
+            self.retreat_message = ""
 
+        response.force_lease = float(self.lease.settings.hold)
+        response.retract_distance = float(self.lease.settings.distance)
         return self._answer(response, switch)
 
     def _answer(self, response: Any, action: Callable[[], None]) -> Any:
@@ -208,8 +240,17 @@ class RobotSide:
     def _on_force(self, message: WrenchStamped) -> None:
         f = message.wrench.force
         force = np.array([f.x, f.y, f.z])
+
+        def take() -> None:
+            if message.header.frame_id != "tool0":
+                raise SimError(f"its frame is '{message.header.frame_id}', tool0 is needed")
+            if self.retreating:
+                raise SimError("it came too late, the robot is leaving the contact")
+            self._cell.set_force(_finite(force, "force set point"))
+            self.lease.renew()
+
         try:
-            self._loop.call(lambda: self._cell.set_force(_finite(force, "force set point")))
+            self._loop.call(take)
         except SimError as error:
             self._node.get_logger().warning(f"force set point ignored: {error}", throttle_duration_sec=5.0)
 
@@ -224,6 +265,10 @@ class RobotSide:
         turn = rotation_vector(rotation_of_quaternion(quaternion))
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         self._loop.call(lambda: self._cell.set_offset(translation, turn, stamp))
+
+
+def _not_answered(error: Exception, handle: ServerGoalHandle) -> Move.Result:
+    return Move.Result(success=False, message=f"unexpected error: {type(error).__name__}: {error}")
 
 
 def _finite(force: np.ndarray, what: str) -> np.ndarray:

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from irec_ros.cdr import exact_cdr
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
-from .cdr import exact_cdr
 
 SENSOR_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a built model to a verdict: adequate, missing effect, or unexplained.
+
+No verdict rests on the stated noise: a residual above it is no evidence of structure. Structure is shown by repeats that scatter
+less than the model leaves, by a structure that helps on held-out poses, or by a flexible regression that does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..effects.traits import Family as Alike
+from ..identification.noise import InferredNoise
+from ..identification.validation import HeldOut, gain, rms
+from ..model import Term
+from .build import Built, Explanation
+from .candidates import Trial
+from .evidence import Block, Ground
+from .family import Family
+from .flexible import Flexible, flexible_gain
+from .held_out import held_out, only_good_poses
+from .level import Repeats, inferred, repeats_of
+from .parts import Parts, prune
+from .remainder import Part, Remainder
+from .settings import SETTINGS, Settings
+from .study import Study
+from .tool_weight import Readings
+
+DEPENDS_ON_AT_MOST = 4
+WITHIN_REACH = 3.0  # nats: structures this close to the first one name its variables too
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What the evidence says, before it is put in words.
+
+    Attributes:
+        names: effects that every good explanation needs, most important first; one_of: sets of which one is needed.
+        study: the model with the added effects, cut down to the parts that they need; remainder: what is left beside it.
+        evidence: what shows the structure that has no name: `repeats`, `held_out_structure`, `flexible_regression`.
+        remaining_m: size of that structure, RMS over samples, m; hidden_m: how large an unnamed cause could be and not be seen.
+        explained: share of the explainable excess that the added effects explain.
+        held_out_base: error of the model that it started from, at the noise level of this assessment; asked: the model that was
+            asked about, fitted at that level.
+        parts: of each added effect, which axes or directions are proven; other: the likeliest other set of them, with the names
+            of the two, where they are not told apart.
+    """
+
+    built: Built
+    status: str
+    names: tuple[str, ...]
+    one_of: tuple[tuple[str, ...], ...]
+    study: Study
+    remainder: Remainder
+    depends_on: tuple[str, ...]
+    evidence: tuple[str, ...]
+    remaining_m: float
+    hidden_m: float
+    explained: float
+    noise: InferredNoise
+    repeats: Repeats
+    flexible: Flexible
+    readings: Readings | None
+    held_out_base: HeldOut
+    reason: str
+    asked: Study
+    parts: dict[str, Parts] = field(default_factory=dict)
+    other: tuple[tuple[Term, ...], tuple[str, str]] | None = None
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        return self.built.final.ids
+
+    @property
+    def weight_wrong(self) -> bool:
+        return self.readings is not None and self.readings.log_evidence > SETTINGS.nats_to_name
+
+
+def assess(
+    asked: Study, built: Built, readings: Readings | None, check: Callable[[], None] = lambda: None, settings: Settings = SETTINGS
+) -> Assessment:
+    """Weigh a built model.
+
+    Args:
+        asked: the model that was asked about; the built one starts from it and what completes it.
+    """
+    start, final = built.start, built.final
+    base_cv = held_out(start.study)
+    check()
+    pruned = prune(final.study, final.ids, _beside(final, forms=True), built.family)
+    check()
+    study = pruned.study
+    rest = final.remainder
+    block = study.base + _beside(final)
+    ground = Ground(study.bench, block)
+    repeats = repeats_of(study, ground)
+    known = study.base + _columns(study, built.family, rest.bad_rows)
+    bare = repeats_of(study, Ground(study.bench, known)) if rest.structures else repeats
+    noise = inferred(study, ground, repeats, settings)
+    flexible = flexible_gain(study.observation, _residual(study, known), settings)
+    evidence = []
+    if bare.p_value < settings.repeats_p:
+        evidence.append("repeats")
+    strongest = max((p.log_evidence for p in rest.structures), default=0.0)
+    if strongest > settings.nats_for_structure and _helps(study, known, block, rest, settings):
+        evidence.append("held_out_structure")
+    if flexible.significant:
+        evidence.append("flexible_regression")
+    one_of, names = [], []
+    for i in final.ids:
+        rivals = built.rivals.get(i, ())
+        close = [(odds, r) for r, odds in rivals if odds < settings.nats_to_prefer]
+        if close:
+            one_of.append(tuple(n for _, n in sorted([(0.0, i), *close])))
+        else:
+            names.append(i)
+    names.sort(key=lambda i: -built.evidence.get(i, 0.0))
+    weight = readings is not None and readings.log_evidence > settings.nats_to_name
+    if names or weight:
+        status = "missing_effect"
+    else:
+        status = "unexplained" if evidence or one_of else "adequate"
+    remaining = _size(study, known, ground) if evidence and rest.structures else 0.0
+    if "repeats" in evidence:  # they know what is missing, whether or not a structure describes it
+        remaining = max(remaining, _beside_repeats(study, bare))
+    if evidence and remaining == 0.0:
+        remaining = flexible.gain_m
+    chi2 = [s.bench.posterior(s.base).chi2 for s in (start.study, study)]
+    won = max(chi2[0] - chi2[1], 0.0)
+    explained = float(won / max(won + chi2[1] - ground.chi2, 1e-9)) if final.added else float(weight)
+    return Assessment(
+        built, status, tuple(names), tuple(one_of), study, rest, _depends_on(built, final, evidence, flexible), tuple(evidence),
+        float(remaining), _hidden(noise, len(study.bench.b), settings), explained, noise, bare, flexible, readings, base_cv,
+        built.reason, asked, pruned.parts, pruned.other,
+    )  # fmt: skip
+
+
+def _beside(one: Explanation, forms: bool = False) -> Block:
+    """Columns of a remainder alone.
+
+    Args:
+        forms: without those of which an added effect is a special form: they would take the place of its parts.
+    """
+    own = one.remainder.block
+    columns = list(range(own.A.shape[1]))[one.remainder.own]
+    if forms:
+        lag = one.study.ready.kind == "absolute" and any("order" in t.effect.needs for t in one.added)
+        law = any(t.effect.family is Alike.TORQUE_LAW for t in one.added)
+        kept: list[int] = []
+        at = 0
+        for part in one.remainder.parts:
+            form = (lag and part.structure.by_step) or (law and part.structure.law_of is not None)
+            width = part.structure.columns.stop - part.structure.columns.start
+            kept += [] if form else columns[at : at + width]
+            at += width
+        columns = kept
+    return own.take(columns)
+
+
+def _residual(study: Study, block: Block) -> np.ndarray:
+    ground = Ground(study.bench, block)
+    return study.observation.whiten.undo(ground.residual.reshape(-1, 3))
+
+
+def _columns(study: Study, family: Family, parts: tuple[Part, ...]) -> Block:
+    """Columns of some parts of a remainder."""
+    block = study.base.take([])
+    for p in parts:
+        block = block + family.block(p.structure, p.amplitude)
+    return block
+
+
+def _helps(study: Study, known: Block, block: Block, rest: Remainder, settings: Settings) -> bool:
+    """Whether a remainder lowers the error on held-out poses, those with bad rows apart."""
+    before, after = (only_good_poses(held_out(study, _after(study, b)), study, rest) for b in (known, block))
+    mean, se, _ = gain(before, after)
+    return bool(np.isfinite(mean) and mean > settings.held_out_sigmas * se)
+
+
+def _after(study: Study, block: Block) -> Block:
+    return block.take(list(range(study.base.A.shape[1], block.A.shape[1])))
+
+
+def _size(study: Study, known: Block, ground: Ground) -> float:
+    """RMS over samples of what a remainder moves, m."""
+    with_it = study.observation.whiten.undo(ground.residual.reshape(-1, 3))
+    alone = _residual(study, known)
+    return rms(alone - with_it)
+
+
+def _beside_repeats(study: Study, repeats: Repeats) -> float:
+    """RMS over samples of what a model leaves beyond the scatter of repeats, m."""
+    level = repeats.chi2 / max(repeats.dof, 1)
+    more = max(repeats.beside - repeats.beside_dof * level, 0.0) / max(len(study.bench.b), 1)
+    return float(np.sqrt(more)) * study.observation.whiten.floor
+
+
+def _hidden(noise: InferredNoise, equations: int, settings: Settings) -> float:
+    """How large a cause without structure may be and stay unseen, m: what the claim leaves room for where nothing was repeated,
+    else a structure of one parameter just below the evidence that shows it."""
+    seen = noise.inferred_m * np.sqrt(2.0 * (settings.nats_for_structure + 6.0) / max(equations, 1))
+    if "repeats" in noise.source:
+        return float(seen)
+    return float(max(seen, np.sqrt(max(noise.inferred_m**2 - (0.5 * noise.claimed_m) ** 2, 0.0))))
+
+
+def _depends_on(built: Built, final: Explanation, evidence: list[str], flexible: Flexible) -> tuple[str, ...]:
+    """Variables of what is left, strongest first."""
+    if not evidence:
+        return ()
+    out: list[str] = []
+
+    def add(names: tuple[str, ...]) -> None:
+        out.extend(n for n in names if n not in out)
+
+    parts = sorted(final.remainder.structures, key=lambda p: -p.log_evidence)
+    if parts:
+        gains, _ = built.family.gains(Ground(final.study.bench, final.study.base))
+        odds = gains - np.log([s.tried for s in built.family.structures])
+        odds[[s.is_bad_row for s in built.family.structures]] = -np.inf
+        for i in np.argsort(-odds)[:3]:
+            if odds[i] > odds.max() - WITHIN_REACH:
+                add(built.family.structures[i].variables)
+    for p in parts:
+        add(p.structure.variables)
+    if not parts:
+        add(flexible.variables)
+    return tuple(out[:DEPENDS_ON_AT_MOST])
+
+
+def p_value(trial: Trial, tried: int) -> float:
+    """Probability that noise alone gives an effect this evidence, corrected for the number of effects tried (Markov's bound)."""
+    return float(min(1.0, tried * np.exp(-max(trial.log_evidence, 0.0))))

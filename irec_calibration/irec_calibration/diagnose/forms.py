@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Structures that an effect is a special form of: they are no rivals of its name, whatever form they give the same cause."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..effects import Cause
+from ..effects import Family as Alike
+from ..effects.scene import Scene
+from ..model import Term
+from .family import Structure
+
+
+@dataclass(frozen=True)
+class Forms:
+    """Which structures.
+
+    Attributes:
+        axes: general laws of the torque of these axes; drifts: what follows time or a temperature whatever the force.
+    """
+
+    axes: frozenset[int] = frozenset()
+    drifts: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.axes) or self.drifts
+
+    def has(self, structure: Structure) -> bool:
+        return (structure.law_of is not None and structure.law_of in self.axes) or (self.drifts and structure.is_drift)
+
+
+NO_FORMS = Forms()
+
+
+def forms_of(term: Term, scene: Scene) -> Forms:
+    """Structures that an effect is a special form of."""
+    if term.effect.cause is Cause.TIME and term.effect.family is Alike.TIME:
+        return Forms(drifts=True)
+    if term.effect.family is not Alike.TORQUE_LAW:
+        return NO_FORMS
+    own = term.effect.parameters(scene)
+    return Forms(frozenset(p.axis for p in own if p.axis is not None and p.name in term.estimates))

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a step that one pose of a loaded session shows lasts.
+
+A station that was bumped moves every later reading; a knocked reference reading moves none, and a reflector that was seated anew
+turns with the tool. Differences to the reference hide this, absolute readings do not: what they have beyond the controller's
+positions is a smooth function of the joint angles (station, marker, geometry), and a step in time beside it if there is one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..identification.observe import beyond_controller
+from ..model import Term, total_displacement
+from ..typing import Array, IntArray
+from .evidence import Bench, Block, NoisePrior
+from .study import Study
+
+FEWEST = 3  # poses before and after a step
+# Standard deviations of what an absolute reading has beyond the controller's position: robots after geometric calibration.
+PLACE = 1e-3  # m; of the station, and of the marker on the tool
+ANGLE = 1e-3  # rad; of the station, joint zeros, and tilts of axes
+PERIODIC = 3e-4  # rad; of joint angles, with the angle
+SOFT = 3e-7  # rad/(N m); of axes under gravity
+COURSE = 1e-4  # m; drift over the session
+LEVEL = 2e-5  # m; about the scatter of a pose's mean; its own size follows from the readings
+LITTLE = 1.0  # equation; what is believed of that level counts no more
+
+
+def lasts(study: Study, shift: Term) -> float:
+    """Log odds that the poses after a step carry it in base_link, over that they do not or that it turns with the tool.
+
+    Args:
+        study: a model of a loaded session with the step in it.
+        shift: that step: parameters d_x, d_y, d_z (m) and t_shift (s).
+
+    Returns:
+        natural log; 0 where too few poses stand before or after it.
+    """
+    scene, session = study.observation.scene, study.session
+    value = {n: e.value for n, e in shift.estimates.items()}
+    d, moment = np.array([value[f"d_{a}"] for a in "xyz"]), value["t_shift"]
+    seen = beyond_controller(session, scene)
+    seen = seen - total_displacement([t for t in study.terms if t.effect.id != shift.effect.id], scene)
+    rows, mean, begin, end = _blocks(session.pose, session.repeat, session.stamp, seen)
+    broken = (begin <= moment) & (end > moment)
+    if not broken.any():
+        return 0.0
+    here = int(rows[np.flatnonzero(broken)[0]])
+    used = ~broken & (session.station[rows] == session.station[here]) & np.isfinite(mean).all(axis=1)
+    after = (begin > moment)[used]
+    if min(after.sum(), (~after).sum()) < FEWEST:
+        return 0.0
+    rows, mean = rows[used], mean[used]
+    R = scene.kin.R_tool
+    in_base = after[:, None] * d
+    with_tool = after[:, None] * (R[rows] @ (R[here].T @ d))
+    ground = _smooth(study, rows)
+    once, stays, turns = (_log_evidence(mean - step, ground) for step in (0.0 * in_base, in_base, with_tool))
+    return float(stays - max(once, turns))
+
+
+def _blocks(pose: IntArray, repeat: IntArray, stamp: Array, seen: Array) -> tuple[IntArray, Array, Array, Array]:
+    """Of each pose and repeat: its first row, the median of what its rows show, first and last stamp."""
+    _, of = np.unique(np.stack([pose, repeat]), axis=1, return_inverse=True)
+    of = of.ravel()
+    first, mean, begin, end = [], [], [], []
+    for k in range(of.max() + 1):
+        mine = np.flatnonzero(of == k)
+        first.append(mine[np.argmin(stamp[mine])])
+        mean.append(np.median(seen[mine], axis=0))
+        begin.append(stamp[mine].min())
+        end.append(stamp[mine].max())
+    return np.array(first), np.array(mean), np.array(begin), np.array(end)
+
+
+def _smooth(study: Study, rows: IntArray) -> Array:
+    """What absolute readings have beyond the controller's positions, in standard deviations of each cause, (rows, 3, p), m."""
+    scene = study.observation.scene
+    p, q, J = scene.p_observed[rows], scene.q[rows], scene.J[rows]
+    turn = np.cross(np.eye(3)[None], p[:, None]).swapaxes(1, 2)
+    course = (scene.stamp[rows] - scene.stamp[rows].mean()) / max(float(np.ptp(scene.stamp[rows])), 1e-9)
+    # whether a base that rides is seen from where it stands or from the cell, and how straight its way is
+    rides = [(v[rows] - v[rows].mean())[:, None, None] * np.eye(3) for v in scene.ext.values() if np.isfinite(v[rows]).all()]
+    return np.concatenate(
+        [
+            *rides,
+            PLACE * np.tile(np.eye(3), (len(rows), 1, 1)), ANGLE * turn, PLACE * scene.kin.R_tool[rows], ANGLE * J,
+            ANGLE * scene.V[rows], PERIODIC * J * np.sin(q)[:, None], PERIODIC * J * np.cos(q)[:, None],
+            COURSE * course[:, None, None] * np.eye(3), SOFT * J * scene.tau_gravity[rows][:, None, :],
+        ], axis=2,
+    )  # fmt: skip
+
+
+def _log_evidence(values: Array, columns: Array) -> float:
+    A = columns.reshape(-1, columns.shape[2]) / LEVEL
+    free = np.full(A.shape[1], np.inf)
+    bench = Bench(values.ravel() / LEVEL, np.repeat(np.arange(len(values)), 3), NoisePrior(dof=LITTLE))
+    return bench.posterior(Block(A, -free, free, np.ones(A.shape[1]))).log_evidence

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The level of a session's noise, from what the session shows itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import fdtrc
+
+from ..identification.absolute import FEWEST_PAIRS, near_pairs
+from ..identification.noise import InferredNoise, level_of, pure_error
+from ..identification.observe import Observation
+from ..model import Term
+from ..typing import Array
+from .evidence import Ground
+from .family import Family, Structure, family_of
+from .remainder import Remainder, grow
+from .settings import SETTINGS, Settings
+from .study import Study, study_of
+from .wander import likelier, wandering
+
+QUIETER = 0.7  # of the noise assumed: below it everything is weighed again
+FEWEST_REPEATS = 6  # degrees of freedom of repeats below which they say nothing by themselves
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """What repeats of the same rows say.
+
+    Attributes:
+        chi2, dof: squared scatter within repeats in units of the noise in use; 0 where nothing was repeated.
+        beside, beside_dof: squared residual of the model beside that scatter.
+        p_value: that the model leaves so much more than repeats scatter.
+    """
+
+    chi2: float
+    dof: int
+    beside: float
+    beside_dof: float
+    p_value: float
+
+
+def with_inferred_level(observation: Observation, terms: Sequence[Term], settings: Settings = SETTINGS) -> Study:
+    """A model fitted to a session at the noise level that model and unnamed remainder leave together."""
+    observation = replace(observation, whiten=observation.whiten.scaled(1.0 / observation.whiten.level))
+    first = study_of(observation, terms)
+    family = family_of(first)
+    beside = grow(first.bench, family, first.base, without=_follows_time)
+    observation = wandering(observation, left_beside(first, beside), settings)
+    if observation.whiten.wander is not None:
+        first = study_of(observation, first.terms)
+        family = family_of(first)
+    level = level_beside(first, grow(first.bench, family, first.base), settings)
+    return study_of(replace(observation, whiten=observation.whiten.scaled(level)), first.terms)
+
+
+def noise_left(study: Study, remainder: Remainder, family: Family, settings: Settings = SETTINGS) -> Observation | None:
+    """The observation with the noise that a finished model and its remainder leave, where that is another than was assumed: much
+    less, or correlated in time otherwise; else None."""
+    observation = study.observation
+    whiten = observation.whiten
+    beside = remainder
+    if any(_follows_time(p.structure) for p in remainder.parts):
+        beside = grow(study.bench, family, study.base, remainder.parts, without=_follows_time)
+    residual = left_beside(study, beside)
+    again = wandering(observation, residual, settings)
+    if likelier(again, observation, residual) > settings.nats_for_wander:
+        again_whiten = again.whiten
+        squared = (again_whiten(residual) ** 2).sum()
+        dof = max(residual.size - Ground(study.bench, beside.block).fitted, 1.0)
+        return replace(again, whiten=again_whiten.scaled(float(np.sqrt(squared / dof))))
+    lower = level_beside(study, remainder, settings)
+    return replace(observation, whiten=whiten.scaled(lower)) if lower < QUIETER else None
+
+
+def left_beside(study: Study, remainder: Remainder) -> Array:
+    """What a model and a remainder leave of each observed row, (m, 3), m."""
+    ground = Ground(study.bench, remainder.block)
+    return study.observation.whiten.undo(ground.residual.reshape(-1, 3))
+
+
+def _follows_time(structure: Structure) -> bool:
+    """Whether a structure could take up noise that wanders."""
+    return "stamp" in structure.variables
+
+
+def level_beside(study: Study, remainder: Remainder, settings: Settings = SETTINGS) -> float:
+    """Level of the noise that a model and a remainder leave, in units of the one that is assumed."""
+    ground = Ground(study.bench, remainder.block)
+    dof = settings.noise_dof + max(len(study.bench.b) - ground.fitted, 0.0)
+    return float(np.sqrt((settings.noise_dof * study.bench.noise.scale**2 + ground.chi2) / dof))
+
+
+def repeats_of(study: Study, ground: Ground) -> Repeats:
+    """How the residual of a model compares with the scatter of repeats.
+
+    Args:
+        ground: the model, with a remainder or without one.
+    """
+    white = ground.residual.reshape(-1, 3)
+    session, rows = study.session, study.observation.rows
+    of_row = np.stack([session.pose[rows], session.load_case[rows], session.marker[rows]])
+    keys = np.unique(of_row, axis=1, return_inverse=True)[1]
+    chi2, dof = pure_error(white, keys.ravel())
+    if study.ready.kind == "absolute" and dof < FEWEST_REPEATS:
+        pairs = near_pairs(study.observation, study.observation.whiten.undo(white))
+        if len(pairs.first) >= FEWEST_PAIRS:
+            scatter = ((white[pairs.first] - white[pairs.second]) ** 2).sum() / 2.0
+            # pairs that share rows are not independent: no more degrees of freedom than rows
+            seen = len(np.unique(np.concatenate([pairs.first, pairs.second])))
+            share = min(1.0, seen / 2.0 / len(pairs.first))
+            chi2, dof = float(scatter * share), int(3 * len(pairs.first) * share)
+    left = max(len(study.bench.b) - ground.fitted - dof, 0.0)
+    beside = max(ground.chi2 - chi2, 0.0)
+    p = 1.0
+    if dof >= FEWEST_REPEATS and left > 1.0:
+        p = float(fdtrc(left, dof, beside / left / max(chi2 / dof, 1e-300)))
+    return Repeats(chi2, dof, beside, left, p)
+
+
+def inferred(study: Study, ground: Ground, repeats: Repeats, settings: Settings = SETTINGS) -> InferredNoise:
+    """The level of the noise: from repeats alone where they contradict the model, else from repeats and residual."""
+    found = _inferred(study, ground, repeats, settings)
+    wander = study.observation.whiten.wander
+    return found if wander is None else replace(found, wander_share=wander.share, wander_time_s=wander.time)
+
+
+def _inferred(study: Study, ground: Ground, repeats: Repeats, settings: Settings) -> InferredNoise:
+    whiten = study.observation.whiten
+    to_claim = whiten.level**2
+    enough = repeats.dof >= FEWEST_REPEATS
+    if enough and repeats.p_value < settings.repeats_p:
+        return level_of(whiten.claimed_floor, repeats.chi2 * to_claim, repeats.dof, "repeats", settings.noise_dof)
+    dof = len(study.bench.b) - ground.fitted
+    source = "claim" if dof < FEWEST_REPEATS else "repeats and residual" if enough else "residual"
+    return level_of(whiten.claimed_floor, ground.chi2 * to_claim, dof, source, settings.noise_dof)

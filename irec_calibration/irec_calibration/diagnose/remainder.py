@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unnamed remainder: what a session has beside the named effects, in few structures of the generic family."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..typing import Array
+from .evidence import Bench, Block, Ground, Products
+from .family import Family, Structure
+
+NATS_FOR_STRUCTURE = 3.0  # log evidence that a structure needs after the number that were tried is taken off
+MOST_STRUCTURES = 8
+
+
+@dataclass(frozen=True)
+class Part:
+    """One structure of a remainder with its amplitude, and what it added when it was taken in (number tried taken off)."""
+
+    structure: Structure
+    amplitude: float
+    log_evidence: float
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """Structures beside a model.
+
+    Attributes:
+        parts: the strongest first as they were found.
+        log_evidence: of model and remainder together, the number of structures tried taken off.
+        block: columns of model and remainder.
+    """
+
+    parts: tuple[Part, ...]
+    log_evidence: float
+    block: Block
+    own: slice
+
+    @property
+    def structures(self) -> tuple[Part, ...]:
+        """Parts that are a cause: not the bad rows."""
+        return tuple(p for p in self.parts if not p.structure.is_bad_row)
+
+    @property
+    def bad_rows(self) -> tuple[Part, ...]:
+        """Rows and references that stand out."""
+        return tuple(p for p in self.parts if p.structure.is_bad_row)
+
+    @property
+    def gained(self) -> float:
+        return sum(p.log_evidence for p in self.parts)
+
+
+def grow(
+    bench: Bench,
+    family: Family,
+    base: Block,
+    start: Sequence[Part] = (),
+    most: int = MOST_STRUCTURES,
+    beside_axis: int | None = None,
+    without: Callable[[Structure], bool] | None = None,
+) -> Remainder:
+    """Add structures to a model one by one, each time the one with most evidence, as long as they have enough of it.
+
+    Args:
+        start: structures that are tried first, in this order, and kept where they still have evidence.
+        beside_axis: structures that turn only this axis are left out.
+        without: further structures that are left out.
+    """
+    block, parts = base, list[Part]()
+    at = _At(base.A.T @ base.A, base.A.T @ bench.b, _crossed(base, family), family.A.T @ bench.b)
+    ground = Ground(bench, block, at.products)
+    log_evidence = ground.log_evidence
+    tried = np.log([s.tried for s in family.structures])
+    taken = {i for i, s in enumerate(family.structures) if beside_axis is not None and s.axis == beside_axis}
+    taken |= {i for i, s in enumerate(family.structures) if without is not None and without(s)}
+    place = {id(s): i for i, s in enumerate(family.structures)}
+
+    def take(i: int, gain: float, amplitude: float) -> None:
+        nonlocal block, ground, log_evidence, at
+        structure = family.structures[i]
+        block = block + family.block(structure, amplitude)
+        at = at.with_columns(structure.columns, family.crossed(structure))
+        parts.append(Part(structure, amplitude, gain))
+        taken.add(i)
+        ground = Ground(bench, block, at.products)
+        log_evidence += gain
+
+    for part in start:
+        i = place[id(part.structure)]
+        if i in taken:
+            continue
+        gain, amplitude = family.gains(ground, (at.crossed, at.by_b))
+        if gain[i] - tried[i] > 0.0:
+            take(i, float(gain[i] - tried[i]), float(amplitude[i]))
+    while sum(not p.structure.is_bad_row for p in parts) < most and len(parts) < 3 * most and len(family.structures):
+        gain, amplitude = family.gains(ground, (at.crossed, at.by_b))
+        score = gain - tried
+        score[list(taken)] = -np.inf
+        i = int(np.argmax(score))
+        if score[i] < NATS_FOR_STRUCTURE:
+            break
+        take(i, float(score[i]), float(amplitude[i]))
+    return Remainder(tuple(parts), log_evidence, block, slice(base.A.shape[1], None))
+
+
+@dataclass(frozen=True)
+class _At:
+    """Products of all that a remainder is made of: G = A'A and h = A'b of model and structures so far, A'X and X'b of the
+    family's columns X. A structure that is taken in adds rows that are known."""
+
+    G: Array
+    h: Array
+    crossed: Array
+    by_b: Array
+
+    @property
+    def products(self) -> Products:
+        return self.G, self.h
+
+    def with_columns(self, columns: slice, rows: Array) -> _At:
+        corner = self.crossed[:, columns]
+        G = np.block([[self.G, corner], [corner.T, rows[:, columns]]])
+        return _At(G, np.concatenate([self.h, self.by_b[columns]]), np.concatenate([self.crossed, rows]), self.by_b)
+
+
+def _crossed(base: Block, family: Family) -> Array:
+    """Products of a model's columns with all columns of a family, (p, columns)."""
+    return np.asarray(base.A.T.astype(family.A.dtype, copy=False) @ family.A, dtype=float)

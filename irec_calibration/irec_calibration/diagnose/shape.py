@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shape values of effects, which enter nonlinearly: moved to where the evidence is best, alone and beside other causes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from ..effects import Parameter
+from ..errors import SolveError
+from ..model import Estimate, Term
+from .candidates import Trial, block_at, block_columns
+from .evidence import Ground
+from .study import Study, study_of
+
+STEPS = 10  # of a search for one shape value
+PRECISION = 0.02  # of the range searched
+WORTH_MOVING = 0.5  # nats; what a shape found at another place must gain
+WIDER = 2.5  # times the value before, either way, in which a shape value is looked for again beside other causes
+
+
+def refit(study: Study, trial: Trial) -> Study | None:
+    """A model with a tried effect, fitted exactly, with its shape values refined; None where the fit fails."""
+    variant = trial.best
+    shape = _refined(study, trial)
+    known = dict(zip(variant.names, trial.posterior.x * variant.scale, strict=True)) | shape
+    estimates = {
+        p.name: Estimate(float(np.clip(known[p.name], p.lower, p.upper)), unit=p.unit, lower=p.lower, upper=p.upper)
+        for p in variant.effect.parameters(study.ready)
+        if p.name in known
+    }
+    try:
+        return study_of(study.observation, (*study.terms, Term(variant.effect, estimates)))
+    except SolveError:
+        return None
+
+
+def _refined(study: Study, trial: Trial) -> dict[str, float]:
+    """The shape values of a trial; a continuous one is moved between its grid neighbours to where the evidence is best."""
+    shape = dict(trial.best.shape)
+    ground = Ground(study.bench, study.base)
+    for p in trial.effect.parameters(study.ready):
+        grid = sorted(p.grid)
+        if p.name not in shape or not _is_continuous(p):
+            continue
+        # a size is moved by its logarithm, a place by itself
+        there, back = _scale_of(p)
+        i, at = grid.index(shape[p.name]), [float(there(v)) for v in grid]
+        low = at[i - 1] if i else 2.0 * at[0] - at[1]
+        high = at[i + 1] if i + 1 < len(grid) else 2.0 * at[-1] - at[-2]
+
+        def loss(v: float, name: str = p.name) -> float:
+            block = block_at(study, trial.best, shape | {name: v})
+            return -ground.posterior(block, np.ones(1)).log_evidence
+
+        shape[p.name] = _least(loss, p, low, high, back)
+    return shape
+
+
+def reshaped(study: Study, effects: Collection[str]) -> Study:
+    """A fitted model with the continuous shape values of some of its effects moved to where the evidence is best now.
+
+    A shape that was found while other causes were missing may have taken up what is theirs.
+    """
+    for effect_id in effects:
+        term = next((t for t in study.terms if t.effect.id == effect_id), None)
+        values = {} if term is None else _moved_shape(study, term)
+        if term is None or not values:
+            continue
+        moved = Term(term.effect, {n: replace(e, value=values.get(n, e.value)) for n, e in term.estimates.items()})
+        try:
+            other = study_of(study.observation, tuple(moved if t is term else t for t in study.terms))
+        except SolveError:
+            continue
+        if other.bench.posterior(other.base).log_evidence > study.bench.posterior(study.base).log_evidence:
+            study = other
+    return study
+
+
+def _moved_shape(study: Study, term: Term) -> dict[str, float]:
+    """Shape values of a term of a fitted model that are better than its own; empty where there are none."""
+    own = [p for p in term.effect.parameters(study.ready) if p.name in term.estimates and p.grid]
+    mine = [i for i, owner in enumerate(study.owners) if owner == term.effect.id]
+    ground = Ground(study.bench, study.base.take([i for i, owner in enumerate(study.owners) if owner != term.effect.id]))
+    block, names = study.base.take(mine), {study.parameters[i].name for i in mine}
+    values = {p.name: term.estimates[p.name].value for p in own}
+    better: dict[str, float] = {}
+    for p in own:
+        if not _is_continuous(p):
+            continue
+
+        def loss(v: float, name: str = p.name) -> float:
+            table, parameters = block_columns(study, term.effect, values | better | {name: v})
+            chosen = [i for i, q in enumerate(parameters) if q.name in names]
+            return -ground.posterior(replace(block, A=table.A[:, chosen]), np.ones(1)).log_evidence
+
+        there, back = _scale_of(p)
+        at = there(values[p.name])
+        reach = float(np.log(WIDER)) if min(p.grid) > 0.0 else 0.5 * float(np.diff(sorted(p.grid)).mean())
+        found = _least(loss, p, at - reach, at + reach, back)
+        if loss(found) < loss(values[p.name]) - WORTH_MOVING:
+            better[p.name] = found
+    return better
+
+
+def _is_continuous(p: Parameter) -> bool:
+    return 3 <= len(p.grid) <= 20
+
+
+def _scale_of(p: Parameter) -> tuple[Callable[[float], float], Callable[[float], float]]:
+    """To and from the scale that a shape value is moved on."""
+    return (lambda v: float(np.log(v)), lambda u: float(np.exp(u))) if min(p.grid) > 0.0 else (float, float)
+
+
+def _least(loss: Callable[[float], float], p: Parameter, low: float, high: float, back: Callable[[float], float]) -> float:
+    """The value of a shape parameter with the least loss between two places on its scale."""
+
+    def value(u: float) -> float:
+        return float(np.clip(back(u), p.lower, p.upper))
+
+    found = minimize_scalar(
+        lambda u: loss(value(u)), bounds=(low, high), method="bounded",
+        options={"maxiter": STEPS, "xatol": PRECISION * (high - low)},
+    )  # fmt: skip
+    return value(float(found.x))

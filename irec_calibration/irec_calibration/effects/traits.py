@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an effect says about itself besides its formula, as typed values: who reads them knows no effect by name."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Cause(StrEnum):
+    """What an effect's displacement comes from: decides about its part in predictions and in the live correction.
+
+    Attributes:
+        LOAD: the process force moves the tool, or it is what the force sensor makes of it: part of both.
+        STATE: joint angles alone; nothing of it is caused by a process force, only predictions of `absolute` sessions have it.
+        TIME: passes with time whatever the force; no part of either.
+        MEASUREMENT: only the tracker sees it; no part of either.
+    """
+
+    LOAD = "load"
+    STATE = "state"
+    TIME = "time"
+    MEASUREMENT = "measurement"
+
+
+class Evidence(StrEnum):
+    """Where a session shows an effect.
+
+    Attributes:
+        DISPLACEMENTS: in measured displacements of all poses, so that held-out poses test it.
+        REFERENCE_READINGS: in what the force sensor reads where nothing touches the tool; displacements are blind to it.
+        ONE_POSE: in single poses (something happened at one moment), so that held-out poses say nothing about it.
+    """
+
+    DISPLACEMENTS = "displacements"
+    REFERENCE_READINGS = "reference readings"
+    ONE_POSE = "one pose"
+
+
+class Family(StrEnum):
+    """Effects that pass for each other where their form is not quite the true one.
+
+    Attributes:
+        SPRING: linear in the wrench. TORQUE_LAW: another law of the torque of one joint. SENSOR: of the wrench that acts.
+        ANGLE_ERROR: joint angles and geometry. TIME: grows or jumps with time. INSTRUMENT: what measures.
+    """
+
+    SPRING = "spring"
+    TORQUE_LAW = "law of a joint's torque"
+    SENSOR = "force sensor"
+    ANGLE_ERROR = "joint angles and geometry"
+    TIME = "time"
+    INSTRUMENT = "measuring instrument"

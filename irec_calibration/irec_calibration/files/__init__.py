@@ -1,0 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading files that people and other programs write: regular files of bounded size, YAML without surprises, JSON Schema."""
+
+from ..errors import one_line
+from .document import Document, Problem, fail, open_document, read_document
+from .regular import read_bytes, read_text
+from .yaml_text import parse_yaml
+
+__all__ = ["Document", "Problem", "fail", "one_line", "open_document", "parse_yaml", "read_bytes", "read_document", "read_text"]

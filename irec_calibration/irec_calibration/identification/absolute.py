@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What identification from an `absolute` session needs besides: where the instruments stand, which geometric parameters the poses
+determine at all, and rows that are no measurement of this robot.
+
+In such a session every row is one pose and nothing cancels: stations and markers whose pose is not known are unknowns of the fit,
+and the geometry of the arm is part of the base model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..effects import find_effect
+from ..effects.scene import Scene
+from ..model import GEOMETRIC, Estimate, Term, regressors, total_displacement
+from ..session.data import Session
+from ..typing import Array, IntArray
+from .observe import Observation
+
+DETERMINED = 2.0  # parameter scales (2 mm, 2 mrad): a geometric parameter with a larger standard error is not determined
+STRUCTURAL = 1e-6  # share of a column that must be left when what is chosen already is taken out
+NEAR, NEAR_M = 0.02, 0.01  # rad, m: in every joint; poses this close should have the same error
+FEWEST_PAIRS = 10
+IN_PAIRS = 4  # of the poses that models are compared on, one in so many may be kept for having a neighbour
+REPEATING = 0.6  # difference within pairs over the residual itself; independent errors would differ by 1.4 times their size
+FEWEST_OF_MARKER = 20  # rows; fewer do not tell how well a marker fits
+BETTER = 0.97  # of the misfit of reported angles, below which commanded ones are used
+SOURCE_POSES = 300  # poses that tell which
+THINNED_TO = 1000  # poses; a comparison of many models does not get better by more
+THINNED_ROWS = 2000  # of all markers together; those of one pose see the same errors of the robot
+
+
+def base_terms() -> tuple[Term, ...]:
+    """The geometric model: stations, markers, geometry, without values."""
+    return tuple(Term(find_effect(e)) for e in GEOMETRIC)
+
+
+def completed(terms: Sequence[Term], observation: Observation) -> tuple[Term, ...]:
+    """Terms of an absolute session with what every model of it needs; terms of a loaded session as they are.
+
+    Unknown stations and markers get their terms; an effect that is `chosen_by_poses`, without values, gets those parameters that
+    the poses determine.
+    """
+    if observation.session.kind != "absolute":
+        return tuple(terms)
+    present = {t.effect.id for t in terms}
+    registering = [find_effect(e) for e in GEOMETRIC]
+    out = [Term(e) for e in registering if e.registers and e.id not in present and e.parameters(observation.scene)] + list(terms)
+    out = [t for t in out if not t.effect.registers or t.effect.parameters(observation.scene)]
+    for i, term in enumerate(out):
+        if term.effect.chosen_by_poses and not term.estimates:
+            own = {p.name: p for p in term.effect.parameters(observation.scene)}
+            kept = determined_geometry(tuple(out), i, observation)
+            out[i] = replace(term, estimates={n: Estimate(0.0, unit=own[n].unit) for n in own if n in kept})
+    return tuple(t for t in out if not t.effect.chosen_by_poses or t.estimates)
+
+
+def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observation) -> set[str]:
+    """Names of the geometric parameters that a session determines beside stations and markers.
+
+    Orthogonal-triangular decomposition of the whitened columns with pivoting: parameters that come `first` (joint zeros), then
+    the others, each time the one of which most is left. Chosen are those with a standard error below `DETERMINED`.
+
+    Args:
+        terms: all terms.
+        index: of the effect whose parameters are chosen.
+    """
+    scene = observation.scene
+    placing = [replace(t, estimates={}) for t in terms if t.effect.registers]
+    geometry = replace(terms[index], estimates={})
+    # where the model has the marker, not where it was measured: else errors of the geometry pass for a difference between a
+    # turned station and a turned first axis
+    blocks = regressors([*placing, geometry], _as_modelled(scene))
+    scale = np.array([p.scale for t in (*placing, geometry) for p in t.effect.parameters(scene)])
+    A = observation.whiten(observation.of(np.concatenate(blocks, axis=2)) * scale).reshape(-1, len(scale))
+    b = observation.whiten(observation.y).reshape(-1)
+    R: Array = np.asarray(np.linalg.qr(np.column_stack([A, b]), mode="r"))
+    own = geometry.effect.parameters(scene)
+    names = [p.name for p in own]
+    first = len(scale) - len(names)
+    excess = _excess(R, len(b))
+    R = R[:, :-1]
+    norm = np.linalg.norm(R, axis=0)
+    left = R.copy()
+    chosen: list[int] = []
+    groups = [list(range(first)), [first + i for i, p in enumerate(own) if p.first]]
+    groups.append([j for j in range(first, len(scale)) if j not in groups[1]])
+    for group in groups:
+        open_ = list(group)
+        while open_:
+            size = np.linalg.norm(left[:, open_], axis=0)
+            best = int(np.argmax(size))
+            j = open_.pop(best)
+            if size[best] <= max(STRUCTURAL * norm[j], excess / DETERMINED):
+                break
+            u = left[:, j] / size[best]
+            left = left - np.outer(u, u @ left)
+            chosen.append(j)
+    return {names[j - first] for j in chosen if j >= first}
+
+
+def _as_modelled(scene: Scene) -> Scene:
+    """With the markers where the model has them instead of where they were measured."""
+    return replace(scene, instruments=replace(scene.instruments, measured_from_station=scene.modelled_from_station))
+
+
+def _excess(R: Array, equations: int) -> float:
+    """How many times larger than stated the noise seems to be beside the best fit of all columns; at least 1."""
+    A, b = R[:, :-1], R[:, -1]
+    u, s, _ = np.linalg.svd(A)
+    known = u[:, : int((s > STRUCTURAL * s[0]).sum())]
+    left = float(np.sqrt(max(b @ b - ((known.T @ b) ** 2).sum(), 0.0)))
+    return max(1.0, left / np.sqrt(max(equations - A.shape[1], 1)))
+
+
+def held_geometry(terms: Sequence[Term], observation: Observation) -> tuple[str, ...]:
+    """Parameters (`effect.parameter`) that are held at zero because others of the model do the same in these poses."""
+    for term in terms:
+        if term.effect.chosen_by_poses and observation.session.kind == "absolute":
+            own = term.effect.parameters(observation.scene)
+            return tuple(f"{term.effect.id}.{p.name}" for p in own if p.name not in term.estimates)
+    return ()
+
+
+def thinned(observation: Observation, most: int = THINNED_TO, rows: int = THINNED_ROWS) -> Observation:
+    """An observation of so many whole poses or fewer, spread evenly over the session; history and time stay as they were.
+
+    Args:
+        most: poses. rows: of all of them together, with which the cost of a comparison grows.
+    """
+    poses = observation.poses
+    most = min(most, max(rows * len(poses) // max(len(observation.rows), 1), 1))
+    if len(poses) <= most or observation.session.kind != "absolute":
+        return observation
+    paired = _paired(observation, most // (2 * IN_PAIRS))
+    rest = np.setdiff1d(poses, paired)
+    kept = np.union1d(paired, rest[np.unique(np.linspace(0, len(rest) - 1, most - len(paired)).astype(int))])
+    note = f"{len(kept)} of {len(poses)} poses, spread evenly, are used for comparing models"
+    few = observation.only(np.isin(observation.pose, kept))
+    index = np.arange(len(few.rows))
+    few = replace(few, session=few.session.select(few.rows), scene=few.scene.take(few.rows), rows=index)
+    return noted(few, note)
+
+
+def _paired(observation: Observation, most: int) -> IntArray:
+    """Poses of so many pairs or fewer that are close to each other, spread evenly: they tell the noise, which the rest can't."""
+    pairs = near_pairs(observation, observation.y)
+    if len(pairs.first) < FEWEST_PAIRS or most < FEWEST_PAIRS:
+        return np.zeros(0, dtype=observation.pose.dtype)
+    index = np.unique(np.linspace(0, len(pairs.first) - 1, min(most, len(pairs.first))).astype(int))
+    paired: IntArray = np.unique(observation.pose[np.concatenate([pairs.first[index], pairs.second[index]])])
+    return paired
+
+
+@dataclass(frozen=True)
+class NearPairs:
+    """Pairs of poses that are close in all joints, and the residuals there.
+
+    Attributes:
+        first, second: index of the observed row of each, (pairs,).
+        difference_m, residual_m: median norm of the residuals' difference over pairs, and of the residual itself, m.
+    """
+
+    first: IntArray
+    second: IntArray
+    difference_m: float
+    residual_m: float
+
+    @property
+    def repeats(self) -> bool:
+        """The residual is a property of the pose, not noise."""
+        return len(self.first) >= FEWEST_PAIRS and self.difference_m < REPEATING * self.residual_m
+
+
+def near_pairs(observation: Observation, residual: Array) -> NearPairs:
+    """Residuals of poses that are close to each other but not measured in succession.
+
+    Args:
+        residual: (m, 3), m.
+    """
+    scene, session, rows = observation.scene, observation.session, observation.rows
+    spread = np.where(scene.kin.is_prismatic, NEAR_M / NEAR, 1.0)
+    found = cKDTree(scene.q[rows] / spread).query_pairs(NEAR, p=np.inf, output_type="ndarray")
+    order = np.argsort(np.argsort(session.stamp[rows], kind="stable"))
+    apart = observation.pose[found[:, 0]] != observation.pose[found[:, 1]]
+    apart &= session.marker[rows[found[:, 0]]] == session.marker[rows[found[:, 1]]]
+    if session.clock != "none":
+        # the arm must have been elsewhere in between: a pose that was only nudged proves nothing
+        apart &= np.abs(order[found[:, 0]] - order[found[:, 1]]) > 1
+    found = found[apart]
+    size = float(np.median(np.linalg.norm(residual, axis=1)))
+    change = np.linalg.norm(residual[found[:, 0]] - residual[found[:, 1]], axis=1)
+    return NearPairs(found[:, 0], found[:, 1], float(np.median(change)) if len(change) else float("nan"), size)
+
+
+def repeating(pairs: NearPairs) -> str:
+    """A sentence where the residual repeats with the pose, else an empty string."""
+    if not pairs.repeats:
+        return ""
+    return (
+        "the residual repeats with the pose:"
+        f" in {len(pairs.first)} pairs of poses within {NEAR} rad in every joint, not measured in succession, it "
+        "differs by"
+        f" {1e3 * pairs.difference_m:.3f} mm (median), while it is {1e3 * pairs.residual_m:.3f} mm itself; it is missing "
+        "from the model, not noise"
+    )
+
+
+def noted(observation: Observation, note: str) -> Observation:
+    """The observation with a note for the user on its session."""
+    session: Session = observation.session
+    return replace(observation, session=replace(session, notes=(*session.notes, note)))
+
+
+def by_marker(observation: Observation, residual: Array) -> Observation:
+    """The observation with the rows of each marker weighted by how well it fits, and with what the markers of a pose share.
+
+    Markers on the base see the tracker's noise, those on the tool also whatever the model of the robot lacks, which all markers
+    of a pose have in common. Only the pattern is taken from the residual; the overall level stays what the session states.
+
+    Args:
+        residual: of a fit, (m, 3), m.
+    """
+    session, w = observation.session, observation.whiten
+    marker, moving = session.marker[observation.rows], observation.scene.moves_with_arm[observation.rows]
+    if len(np.unique(marker)) < 2:
+        return observation
+    _, pose = np.unique(observation.pose, return_inverse=True)
+    count = np.bincount(pose, moving)
+    mean = np.stack([np.bincount(pose, moving * residual[:, a]) for a in range(3)], axis=1) / np.maximum(count, 1.0)[:, None]
+    several = count > 1.5
+    inner = np.where((moving & several[pose])[:, None], residual - mean[pose], residual)
+    inner[moving & several[pose]] *= np.sqrt(count / np.maximum(count - 1.0, 1.0))[pose[moving & several[pose]], None]
+    own = np.empty(len(residual))
+    sizes = {}
+    for m in np.unique(marker):
+        mine = marker == m
+        if mine.sum() < FEWEST_OF_MARKER:
+            return observation
+        sizes[session.markers[m].name] = size = _spread(inner[mine])
+        own[mine] = size * w.sigma[mine] / np.median(w.sigma[mine])
+    shared = 0.0
+    if several.any():
+        by_chance = np.bincount(pose, moving * own**2)[several] / count[several] ** 2
+        shared = float(np.sqrt(max(_spread(mean[several]) ** 2 - float(np.median(by_chance)), 0.0)))
+    together = moving & several[pose]
+    reference = np.where(together, shared, 0.0)
+    level = w.floor / np.sqrt(3.0 * np.mean(own**2 + reference**2))
+    group = np.where(together, pose, len(count) + np.arange(len(pose)))
+    changed = replace(w, sigma=level * own, sigma_reference=level * reference, group=group)
+    words = ", ".join(f"{n} {1e6 * v:.0f}" for n, v in sizes.items())
+    common = f"; what the markers of a pose share: {1e6 * shared:.0f} um" if several.any() else ""
+    note = f"residual by marker, um per coordinate: {words}{common}; rows are weighted by these"
+    return noted(replace(observation, whiten=changed), note)
+
+
+def _spread(values: Array) -> float:
+    """Robust standard deviation per coordinate."""
+    return max(float(np.median(np.abs(values))) / 0.6745, 1e-9)
+
+
+def with_better_joints(session: Session) -> Session:
+    """The session with those joint angles, reported or commanded (`target_*`), that fit the geometric model better.
+
+    A note says which. A session without a complete `target_*` is returned unchanged.
+    """
+    target = session.q_target
+    if target is None or session.kind != "absolute":
+        return session
+    if not np.isfinite(target).all():
+        return replace(session, notes=(*session.notes, "target_* is not complete and therefore not used"))
+    if np.abs(target - session.q).max() < 1e-9:
+        return session
+    commanded = replace(session, q=target)
+    if not session.has_tcp:
+        commanded = replace(commanded, p_tcp_in_base=session.robot.kinematics(target).p_tcp)
+    reported, other = (_geometric_misfit(s) for s in (session, commanded))
+    words = f"beside the geometry reported joint angles leave {1e3 * reported:.4g} mm (median), commanded {1e3 * other:.4g} mm"
+    if other < BETTER * reported:
+        return replace(commanded, notes=(*session.notes, f"{words}: the commanded ones (target_*) are used"))
+    return replace(session, notes=(*session.notes, f"{words}: the reported ones (joint_*) are used"))
+
+
+def _geometric_misfit(session: Session) -> float:
+    from .gauss_newton import fitted  # which completes terms by this module
+    from .observe import observe
+
+    seen = thinned(observe(session), SOURCE_POSES)
+    found, _ = fitted(base_terms(), seen)
+    residual = seen.y - seen.of(total_displacement(found, seen.scene))
+    return float(np.median(np.linalg.norm(residual, axis=1)))

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the instruments' noise does to the rows of a session: standard deviations and the covariance that rows share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from ..session.data import Session
+from ..typing import Array, BoolArray, IntArray
+
+SMALLEST_SIGMA_M = 1e-7  # a session that states no noise at all is weighted uniformly
+
+
+def position_sigma(session: Session) -> Array:
+    """Standard deviation per coordinate of one measured marker position against the controller's, (n,), m.
+
+    The tracker's is a + b d, the linear sum of its data sheet (not the root of the sum of squares); settling and robot are causes
+    of their own and add in squares.
+    """
+    noise = session.noise
+    distance = np.linalg.norm(np.nan_to_num(session.p_marker_in_station), axis=1)
+    variance = (noise.tracker_m + noise.tracker_m_per_m * distance) ** 2 + noise.settling_m**2
+    if session.kind == "absolute":
+        reach = np.linalg.norm(session.p_tcp_in_base, axis=1)
+        variance = variance + noise.robot_m**2 + (noise.robot_rad * reach) ** 2
+    return np.sqrt(np.maximum(variance, SMALLEST_SIGMA_M**2))
+
+
+@dataclass(frozen=True)
+class Wander:
+    """The part of the noise that wanders (an Ornstein-Uhlenbeck process: air, tripod, warm-up of the instrument).
+
+    Attributes:
+        share: of the variance, 0 .. 1; time: correlation time, s.
+        stamp, stamp_reference: of each row and of its reference, (m,), s.
+    """
+
+    share: float
+    time: float
+    stamp: Array
+    stamp_reference: Array
+
+    def only(self, keep: BoolArray | IntArray) -> Wander:
+        return replace(self, stamp=self.stamp[keep], stamp_reference=self.stamp_reference[keep])
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Turns rows with correlated noise into rows of unit, independent noise.
+
+    Rows of one pose and repeat share the noise of their reference row: cov = diag(sigma^2) + sigma_0^2 1 1', alike in x, y and z.
+    Where a share w of the variance wanders (`Wander`), the noise e of two rows or references of a group is correlated by
+    w exp(-|t - t'| / T), and cov is that of the differences e_j - e_0; between groups it is neglected, since differences within
+    a pose hardly know of each other.
+
+    Attributes:
+        sigma: standard deviation per coordinate of each observed row by itself, (m,), m.
+        sigma_reference: of the reference that it shares with others, (m,), m; 0 where there is none.
+        group: which rows share a reference, (m,).
+        level: the sigmas are the stated ones times this.
+        wander: part of the noise that is correlated in time; None: nothing is.
+    """
+
+    sigma: Array
+    sigma_reference: Array
+    group: IntArray
+    level: float = 1.0
+    wander: Wander | None = None
+
+    def __post_init__(self) -> None:
+        by_size: dict[int, list[IntArray]] = {}
+        if np.any(self.sigma_reference > 0.0):
+            order = np.argsort(self.group, kind="stable")
+            for rows in np.split(order, np.flatnonzero(np.diff(self.group[order])) + 1):
+                by_size.setdefault(len(rows), []).append(rows)
+        blocks = []
+        for groups in by_size.values():
+            index = np.stack(groups)
+            L = np.linalg.cholesky(self._covariance(index))
+            blocks.append((index, np.linalg.inv(L), L))
+        object.__setattr__(self, "_blocks", blocks)
+
+    def _covariance(self, index: IntArray) -> Array:
+        """Of groups of s rows each, (k, s) -> (k, s, s), m^2."""
+        own, reference = self.sigma[index], self.sigma_reference[index]
+        together = np.eye(index.shape[1])
+        alone = own[:, :, None] ** 2 * together + reference[:, :, None] * reference[:, None, :]
+        if self.wander is None:
+            return np.asarray(alone)
+        t, t_0, T = self.wander.stamp[index], self.wander.stamp_reference[index], self.wander.time
+        between = np.exp(-np.abs(t[:, :, None] - t[:, None, :]) / T)
+        to_reference = own * reference * np.exp(-np.abs(t - t_0) / T)
+        slow = own[:, :, None] * own[:, None, :] * between + reference[:, :, None] * reference[:, None, :]
+        slow = slow - to_reference[:, :, None] - to_reference[:, None, :]
+        w = self.wander.share
+        return np.asarray((1.0 - w) * alone + w * slow)
+
+    @property
+    def log_size(self) -> float:
+        """Logarithm of the determinant of the covariance's root, over rows and one coordinate (m)."""
+        blocks: list[tuple[IntArray, Array, Array]] = self._blocks  # type: ignore[attr-defined]
+        if not blocks:
+            return float(np.log(self.sigma).sum())
+        return float(sum(np.log(np.diagonal(L, axis1=1, axis2=2)).sum() for _, _, L in blocks))
+
+    def __call__(self, x: Array) -> Array:
+        """Whiten an array whose first axis runs over the rows, in m; the result is in standard deviations."""
+        blocks: list[tuple[IntArray, Array, Array]] = self._blocks  # type: ignore[attr-defined]
+        if not blocks:
+            return x / self.sigma.reshape(-1, *[1] * (x.ndim - 1))
+        return self._times(x, [(index, inverse) for index, inverse, _ in blocks])
+
+    def undo(self, z: Array) -> Array:
+        """Back from standard deviations to m: the inverse of whitening."""
+        blocks: list[tuple[IntArray, Array, Array]] = self._blocks  # type: ignore[attr-defined]
+        if not blocks:
+            return z * self.sigma.reshape(-1, *[1] * (z.ndim - 1))
+        return self._times(z, [(index, L) for index, _, L in blocks])
+
+    @staticmethod
+    def _times(x: Array, blocks: list[tuple[IntArray, Array]]) -> Array:
+        """Rows of each group of one size (k, s) multiplied by their matrix (k, s, s)."""
+        flat = x.reshape(len(x), -1)
+        out = np.empty_like(flat)
+        for index, matrix in blocks:
+            out[index] = matrix @ flat[index]
+        return out.reshape(x.shape)
+
+    def only(self, keep: BoolArray | IntArray) -> Whitening:
+        """Some rows only."""
+        wander = None if self.wander is None else self.wander.only(keep)
+        return Whitening(self.sigma[keep], self.sigma_reference[keep], self.group[keep], self.level, wander)
+
+    def scaled(self, factor: float) -> Whitening:
+        """The same with all noise larger by a factor."""
+        return replace(self, sigma=self.sigma * factor, sigma_reference=self.sigma_reference * factor, level=self.level * factor)
+
+    @property
+    def claimed_floor(self) -> float:
+        """`floor` at the stated level, m."""
+        return self.floor / self.level
+
+    @property
+    def floor(self) -> float:
+        """Root mean square over samples of the norm of the noise of a row, m: sqrt(mean |r|^2) of a perfect model."""
+        return float(np.sqrt(3.0 * np.mean(self.sigma**2 + self.sigma_reference**2)))
+
+
+@dataclass(frozen=True)
+class InferredNoise:
+    """The level of the noise that a session shows.
+
+    Attributes:
+        claimed_m, inferred_m, low_m, high_m: RMS over samples of the norm, as `Whitening.floor`, m; low and high bound 95 % of
+            what is likely.
+        source: what it rests on: `repeats`, `repeats and residual`, `residual` or `claim`.
+        dof: degrees of freedom of that source, the claim's own included.
+        wander_share, wander_time_s: of the variance that is correlated in time, and its correlation time.
+    """
+
+    claimed_m: float
+    inferred_m: float
+    low_m: float
+    high_m: float
+    source: str
+    dof: float
+    wander_share: float = 0.0
+    wander_time_s: float = 0.0
+
+    @property
+    def ratio(self) -> float:
+        """Inferred over claimed level."""
+        return self.inferred_m / max(self.claimed_m, 1e-300)
+
+    @property
+    def differs(self) -> bool:
+        """The claim lies outside of what is likely."""
+        return not self.low_m <= self.claimed_m <= self.high_m
+
+
+def level_of(claimed_m: float, chi2: float, dof: float, source: str, prior_dof: float) -> InferredNoise:
+    """The level of the noise after a sum of squares was seen (scaled inverse chi squared).
+
+    Args:
+        chi2: squared residual in units of the claimed noise, of dof degrees of freedom.
+        prior_dof: how many degrees of freedom the claim counts.
+    """
+    total = prior_dof + max(dof, 0.0)
+    squares = prior_dof + max(chi2, 0.0)
+    low, high = (np.sqrt(squares / chdtri(total, p)) for p in (0.025, 0.975))
+    inferred = np.sqrt(squares / total)
+    return InferredNoise(
+        claimed_m, float(claimed_m * inferred), float(claimed_m * low), float(claimed_m * high), source, float(total)
+    )
+
+
+def pure_error(whitened: Array, keys: IntArray) -> tuple[float, int]:
+    """Squared deviations of repeats from their mean and their degrees of freedom, whatever the model.
+
+    Args:
+        whitened: residual in standard deviations, (m, 3).
+        keys: rows with the same number are repeats of each other, (m,).
+    """
+    _, place, count = np.unique(keys, return_inverse=True, return_counts=True)
+    mean = np.zeros((len(count), whitened.shape[1]))
+    np.add.at(mean, place, whitened)
+    deviation = whitened - (mean / count[:, None])[place]
+    return float((deviation**2).sum()), int(whitened.shape[1] * (len(whitened) - len(count)))

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a session to the left side of Eq. (15): measured displacements with their noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..effects.scene import Scene, marker_by_controller, scene_of
+from ..errors import SolveError
+from ..session.data import Session
+from ..session.registration import registered
+from ..typing import Array, BoolArray, IntArray
+from .noise import Whitening, position_sigma
+
+if TYPE_CHECKING:
+    from .outliers import BadRow
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Measured displacements of a session; m observed rows.
+
+    Attributes:
+        session: with stations and markers placed, where their poses are unknowns.
+        scene: all n rows of the session, observing the marker.
+        rows: indices of the observed rows, (m,).
+        y: measured displacement of the marker relative to where the controller believes it to be, in base_link, (m, 3), m: its
+            change against the reference row in a loaded session, Eq. (12)-(13) with the sign of the session format.
+        pose: pose number of each observed row, (m,).
+        whiten: noise of the rows; that of down-weighted rows is larger by 1 / sqrt(weight).
+        weight: of each row against its stated noise, (m,); 1: counts in full.
+        bad: rows that were found to be wrong (`outliers.treated`), left out of this observation or down-weighted.
+        repeating: that the residual repeats with the pose, in words; empty where nothing shows it.
+    """
+
+    session: Session
+    scene: Scene
+    rows: IntArray
+    y: Array
+    pose: IntArray
+    whiten: Whitening
+    weight: Array = field(default_factory=lambda: np.ones(0))
+    bad: tuple[BadRow, ...] = ()
+    repeating: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.weight) != len(self.rows):
+            object.__setattr__(self, "weight", np.ones(len(self.rows)))
+
+    @property
+    def poses(self) -> IntArray:
+        """Distinct observed poses, ascending."""
+        return np.unique(self.pose)
+
+    def only(self, keep: BoolArray) -> Observation:
+        """Some observed rows only, (m,) mask; the scene stays whole."""
+        rows, y, pose, weight = self.rows[keep], self.y[keep], self.pose[keep], self.weight[keep]
+        return replace(self, rows=rows, y=y, pose=pose, whiten=self.whiten.only(keep), weight=weight)
+
+    def weighted(self, weight: Array) -> Observation:
+        """The same rows, each counting as much less as its weight says, (m,)."""
+        whiten = replace(self.whiten, sigma=self.whiten.sigma * np.sqrt(self.weight / weight))
+        return replace(self, whiten=whiten, weight=np.asarray(weight, dtype=float))
+
+    def of(self, displacement: Array) -> Array:
+        """What the observed rows see of a displacement per session row: (n, 3[, p]) -> (m, 3[, p])."""
+        return self.scene.change(displacement)[self.rows]
+
+
+def beyond_controller(session: Session, scene: Scene) -> Array:
+    """Where each row's marker was measured, relative to where the controller believes it to be, in base_link, (n, 3), m."""
+    R = np.stack([s.R_in_base for s in session.stations])[session.station]
+    t = np.array([s.xyz for s in session.stations])[session.station]
+    p_measured = np.einsum("nij,nj->ni", R, session.p_marker_in_station) + t
+    return np.asarray(p_measured - marker_by_controller(session, scene.kin))
+
+
+def observe(session: Session, compliance: Array | None = None) -> Observation:
+    """Build the observation of a session.
+
+    Args:
+        session: any session.
+        compliance: displacement of the marker by force, (n, 3, 3), m/N: where given, the force sensor's noise is propagated too.
+
+    Raises:
+        SolveError: no row can be used.
+    """
+    session = registered(session, session.robot.kinematics(session.q))
+    scene = scene_of(session)
+    difference = beyond_controller(session, scene)
+    seen = session.marker_seen
+    if session.kind == "loaded":
+        rows = np.flatnonzero((session.load_case != 0) & seen & seen[scene.reference])
+        if not len(rows):
+            raise SolveError(
+                f"{session.path or session.name}: no loaded row with its marker and its reference seen; nothing to identify from"
+            )
+    else:
+        rows = np.flatnonzero(seen)
+        if not len(rows):
+            raise SolveError(f"{session.path or session.name}: the marker was not seen in any row")
+    y = scene.change(difference)[rows]
+    variance = position_sigma(session) ** 2
+    if compliance is not None:
+        variance = variance + session.noise.force_n**2 * np.einsum("nij,nij->n", compliance, compliance) / 3.0
+    sigma = np.sqrt(variance)
+    if session.kind == "loaded":
+        whiten = Whitening(sigma[rows], sigma[scene.reference[rows]], scene.reference[rows])
+    else:
+        whiten = Whitening(sigma[rows], np.zeros(len(rows)), session.pose[rows])
+    return Observation(session, scene, rows, y, session.pose[rows], whiten)

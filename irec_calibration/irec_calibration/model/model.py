@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An elastic model of one robot: a list of effects with parameter values, and what it predicts."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..effects import Cause, Effect, Parameter, find_effect
+from ..effects.scene import ElasticResponse, Scene
+from ..errors import ModelError
+from ..typing import Array, Json
+
+SIX_DOF = ("joint_torsion",)
+EIGHTEEN_DOF = ("joint_torsion", "link_bending")
+GEOMETRIC = ("station_pose", "marker_position", "geometry_error")  # where absolute sessions start from
+
+
+NO_UNIT = ("1", "0 or 1")
+ROWS_REMEMBERED = 3000  # of a scene up to which the columns of its springs are kept
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter's value.
+
+    Attributes:
+        se: standard error, in the parameter's unit; NaN where only a combination with others is known or none was computed.
+        identified: the single value is known, not only a combination.
+    """
+
+    value: float
+    se: float = math.nan
+    unit: str = ""
+    lower: float = -math.inf
+    upper: float = math.inf
+    identified: bool = True
+
+    def __str__(self) -> str:
+        error = f" +- {self.se:.2g}" if math.isfinite(self.se) else ""
+        unit = self.unit if self.unit not in NO_UNIT else ""
+        return f"{as_known(self.value, self.se)}{error} {unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class Term:
+    """One effect of a model with its parameters by name.
+
+    Raises:
+        ModelError: a parameter is of an earlier form of the effect, whose values mean something else now.
+    """
+
+    effect: Effect
+    estimates: dict[str, Estimate] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in self.estimates:
+            if any(re.fullmatch(pattern, name) for pattern in self.effect.obsolete):
+                raise ModelError(
+                    f"effect '{self.effect.id}': parameter '{name}' is of an earlier form of this effect;"
+                    " identify the model again"
+                )
+
+    def theta(self, parameters: Iterable[Parameter]) -> Array:
+        """Values in the order of `parameters`; the start value where the model does not name one, (p,)."""
+        return np.array([self.estimates[p.name].value if p.name in self.estimates else p.start for p in parameters])
+
+    def free(self, parameters: Sequence[Parameter]) -> list[int]:
+        """Indices of the parameters that a fit may change: those that the term names (all where it names none), without a
+        grid."""
+        named = {p.name for p in parameters} & set(self.estimates)
+        return [i for i, p in enumerate(parameters) if not p.grid and (not named or p.name in named)]
+
+
+def as_known(value: float, se: float) -> str:
+    """A value to the second digit of its standard error; four digits where there is none."""
+    if not (math.isfinite(se) and se > 0.0 and math.isfinite(value)):
+        return f"{value:.4g}"
+    place = math.floor(math.log10(se)) - 1
+    whole = round(value / 10.0**place)
+    return f"{whole * 10.0**place:.{min(max(len(str(abs(whole))), 1), 7)}g}" if whole else "0"
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """The range that a model was identified in.
+
+    Attributes:
+        q_lower, q_upper: joint angles, (k,), rad.
+        force, torque: largest magnitude at the TCP, N and N m.
+    """
+
+    q_lower: tuple[float, ...]
+    q_upper: tuple[float, ...]
+    force: float
+    torque: float = 0.0
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A sum of parameters that is known although its members are not.
+
+    Attributes:
+        weights: parameter (effect.parameter) -> weight in the sum.
+        value, se: of the sum, in the members' unit.
+    """
+
+    weights: dict[str, float]
+    value: float
+    se: float
+
+    def __str__(self) -> str:
+        parts = [
+            f"{'-' if w < 0 else '+'} {'' if abs(abs(w) - 1) < 1e-6 else f'{abs(w):.3g} '}{n}" for n, w in self.weights.items()
+        ]
+        return " ".join(parts).removeprefix("+ ") + f" = {self.value:.4g} (std. error {self.se:.2g})"
+
+
+@dataclass(frozen=True)
+class Model:
+    """Effects with values, and whose robot they belong to.
+
+    Attributes:
+        urdf_sha256: SHA-256 of the robot description.
+        tool: name or note of the tool that was mounted.
+        made: how it was made: session, solver, version, date, parent.
+        figures: what it earned: fit_rms_m, cv_rms_m, noise_floor_m, rank, ...
+        combinations: sums that are known of parameters which are not known singly.
+    """
+
+    terms: tuple[Term, ...]
+    serial: str = ""
+    urdf: str = ""
+    urdf_sha256: str = ""
+    tool: str = ""
+    envelope: Envelope | None = None
+    made: Json = field(default_factory=dict)
+    figures: Json = field(default_factory=dict)
+    combinations: tuple[Combination, ...] = ()
+    history: tuple[Json, ...] = ()
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effect ids in order."""
+        return tuple(t.effect.id for t in self.terms)
+
+    def predict(self, scene: Scene) -> Array:
+        """Deflection of the TCP that the rows' load causes, (n, 3), m, in base_link.
+
+        Where the physical TCP will be relative to the controller's, evaluated at the force that really acts (sensor effects).
+        What only instruments see, what passes with time, and in `loaded` sessions what depends on joint angles alone is left
+        out: no process force causes it. The live correction computes the same.
+
+        Args:
+            scene: rows that observe the TCP (`scene_of(session, observe="tcp")`).
+        """
+        causes = (Cause.LOAD,) if scene.kind == "loaded" else (Cause.LOAD, Cause.STATE)
+        moving = [t for t in self.terms if t.effect.cause in causes]
+        return scene.change(total_displacement(moving, scene))
+
+
+def blank_model(effects: Sequence[str]) -> tuple[Term, ...]:
+    """Terms without values, for a first fit. Raises EffectError for an unknown id."""
+    return tuple(Term(find_effect(e)) for e in effects)
+
+
+def apply_wrench_effects(terms: Sequence[Term], scene: Scene) -> Scene:
+    """The scene under the wrench that really acts, by the model's sensor effects."""
+    for term in terms:
+        if term.effect.acts_on == "wrench":
+            scene = scene.with_wrench(*term.effect.wrench(scene, term.theta(term.effect.parameters(scene))))
+    return scene
+
+
+def displacement_of(term: Term, scene: Scene) -> Array:
+    """Displacement of the observed point by one term, (n, 3), m."""
+    return term.effect.displacement(scene, term.theta(term.effect.parameters(scene)))
+
+
+def elastic_response(terms: Sequence[Term], scene: Scene) -> ElasticResponse:
+    """How the springs among the terms answer, by differences in wrench and observed point (they are linear in both)."""
+    springs = [t for t in terms if t.effect.elastic]
+    total = np.zeros((len(scene), 3, 10))
+    for term in springs:
+        parameters = term.effect.parameters(scene)
+        effect, theta = term.effect, term.theta(parameters)
+        if type(effect).displacement is not Effect.displacement or any(p.grid for p in parameters):  # not linear in them
+            total += _answers(lambda s, e=effect, x=theta: e.displacement(s, x), scene)  # type: ignore[misc]
+            continue
+        name = f"answers of {effect.id}"
+        if name not in scene.remembered:
+            columns = _answers(lambda s, e=effect, x=theta: e.regressor(s, np.zeros_like(x)), scene)  # type: ignore[misc]
+            if len(scene) > ROWS_REMEMBERED:
+                total += columns @ theta
+                continue
+            scene.remembered[name] = columns
+        total += scene.remembered[name] @ theta
+    x, y, z = np.moveaxis(total[:, :, 7:], 2, 0)  # u(p + e) - u(p) = rotation x e
+    rotation = np.stack([y[:, 2], z[:, 0], x[:, 1]], axis=1)
+    return ElasticResponse(total[:, :, 0], rotation, total[:, :, 1:7])
+
+
+def _answers(answer: Callable[[Scene], Array], scene: Scene) -> Array:
+    """What springs do in a scene, what they do more by one unit of each wrench component and seen one metre further in base x,
+    y, z: (n, 3, 10), or (n, 3, 10, p) for their columns."""
+    u = answer(scene)
+    out = [u]
+    for i in range(6):
+        unit = np.zeros((len(scene), 6))
+        unit[:, i] = 1.0
+        out.append(answer(scene.with_wrench(scene.force_in_tool + unit[:, :3], scene.torque_in_tool + unit[:, 3:])) - u)
+    out += [answer(scene.seen_at(scene.p_observed + e)) - u for e in np.eye(3)]
+    return np.stack(out, axis=2)
+
+
+def prepared(terms: Sequence[Term], scene: Scene) -> Scene:
+    """The scene as the effects of a model see it: wrench corrected, elastic response attached where one needs it."""
+    scene = apply_wrench_effects(terms, scene)
+    if any(t.effect.needs_elastic for t in terms):
+        scene = replace(scene, elastic=elastic_response(terms, scene))
+    return scene
+
+
+def displacements(terms: Sequence[Term], scene: Scene) -> dict[str, Array]:
+    """Displacement of the observed point by each term that moves it, effect id -> (n, 3), m."""
+    scene = prepared(terms, scene)
+    return {t.effect.id: displacement_of(t, scene) for t in terms if t.effect.acts_on != "wrench"}
+
+
+def total_displacement(terms: Sequence[Term], scene: Scene) -> Array:
+    """Sum over the terms, (n, 3), m."""
+    return sum(displacements(terms, scene).values(), np.zeros((len(scene), 3)))
+
+
+def regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
+    """Derivative of the total displacement by the parameters of each term at their values, list of (n, 3, p)."""
+    ready = prepared(terms, scene)
+    out = []
+    for i, term in enumerate(terms):
+        parameters = term.effect.parameters(scene)
+        theta = term.theta(parameters)
+        if term.effect.acts_on == "wrench":
+            out.append(_wrench_regressor(terms, i, scene, parameters, theta))
+        else:
+            out.append(term.effect.regressor(ready, theta))
+    springs = [i for i, t in enumerate(terms) if t.effect.elastic and t.effect.acts_on != "wrench"]
+    plain = {i: out[i] for i in springs}
+    for term in terms:
+        if not term.effect.needs_elastic:
+            continue
+        theta = term.theta(term.effect.parameters(scene))
+        for i in springs:
+            more = term.effect.by_elastic(ready, theta, plain[i]) if theta.any() else None
+            if more is not None:
+                out[i] = out[i] + more
+    return out
+
+
+def _wrench_regressor(
+    terms: Sequence[Term], i: int, scene: Scene, parameters: Sequence[Parameter], theta: Array
+) -> Array:
+    out = np.empty((len(scene), 3, len(parameters)))
+    for p, parameter in enumerate(parameters):
+        h = 1e-2 * parameter.scale
+        sides = []
+        for step in (h, -h):
+            moved = theta.copy()
+            moved[p] += step
+            values = {q.name: Estimate(float(v)) for q, v in zip(parameters, moved, strict=True)}
+            changed = [*terms[:i], replace(terms[i], estimates=values), *terms[i + 1 :]]
+            sides.append(total_displacement(changed, scene))
+        out[:, :, p] = (sides[0] - sides[1]) / (2 * h)
+    return out

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cell as a recertification sees it through ROS: preconditions, runs of the procedure, the model of the correction."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from action_msgs.srv import CancelGoal
+from geometry_msgs.msg import PointStamped, WrenchStamped
+from irec_ros.guard import GuardedNode
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState, Temperature
+
+from irec_msgs.action import RunProcedure
+from irec_msgs.msg import ProcedureStatus, RobotState
+from irec_msgs.srv import ActivateModel
+
+from ..cell import Cell, Section
+from ..errors import Cancelled, IrecError
+from ..recertification.judgement import Missing
+from ..recertification.plausible import check_before_force
+from ..recertification.preconditions import Precondition
+from ..recertification.readings import Readings, enough_readings, judged_readings
+from ..session import Session
+from .analyses import run_command
+
+LOOK_SECONDS = 6.0  # of the machine's clock, for readings before anything moves
+LOOK_LONGEST = 30.0  # where the marker does not plainly stand still by then
+ANSWER_WAIT = 10.0  # s of the machine's clock for another node to answer
+CANCEL_WAIT = 60.0  # s of the machine's clock for the robot to leave the contact
+MODES = {RobotState.MODE_POSITION: "position", RobotState.MODE_FORCE: "force", RobotState.MODE_FAULT: "fault"}
+Report = Callable[[str, str, int, int, float], None]
+
+
+class RosCell:
+    """Implements `recertification.flow.CellSide` for one run.
+
+    Args:
+        procedure, activate: clients of procedure_node and correction_node. runs: folder of the recordings of recertifications.
+    """
+
+    def __init__(
+        self, node: Node, cell: Cell, procedure: ActionClient, activate: Any, runs: Path, group: Any, predicted_limit: float
+    ) -> None:
+        """predicted_limit: m, that a model may predict over its envelope before it is put in force."""
+        self._node, self._cell, self._predicted_limit = node, cell, predicted_limit
+        self._procedure, self._activate = procedure, activate
+        self._runs = runs
+        self._recording = ""  # of the run of procedure_node that is under way
+        self._measuring = self._ending = False
+        latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(ProcedureStatus, "irec/procedure/status", self._on_status, latched, callback_group=group)
+        self._cancel = node.create_client(CancelGoal, "irec/run_procedure/_action/cancel_goal", callback_group=group)
+        self._report: Report = lambda *_: None
+        self._cancelled: Callable[[], str] = lambda: ""
+        self._confirmed: tuple[str, ...] = ()
+        self._before: Session | None = None
+        self._activates = True
+        self._stage = ""
+
+    def for_run(
+        self, report: Report, cancelled: Callable[[], str], confirmed: Sequence[str], before: Session | None, activates: bool
+    ) -> RosCell:
+        """Set up for one run. Returns itself.
+
+        Args:
+            report: stage, sentence, pose, poses, seconds left. cancelled: why the run has to end, asked often; empty: go on.
+            confirmed: what the operator has looked at. before: session of the calibration in force.
+            activates: it may put a model in force.
+        """
+        self._report, self._cancelled, self._confirmed = report, cancelled, tuple(confirmed)
+        self._before, self._activates = before, activates
+        return self
+
+    def report(self, stage: str, text: str) -> None:
+        """Progress without a pose."""
+        self._stage = stage
+        self._report(stage, text, 0, 0, 0.0)
+
+    def _on_status(self, status: ProcedureStatus) -> None:
+        """End a run that a killed predecessor of this node has left behind: nobody waits for it, and it keeps the robot."""
+        self._recording = status.session_path
+        ours = bool(status.session_path) and self._runs in Path(status.session_path).parents
+        if ours and not self._measuring and not self._ending and self._cancel.service_is_ready():
+            self._ending = True
+            self._node.get_logger().warning(f"a run that nobody waits for is under way ({status.session_path}); ending it")
+            self._cancel.call_async(CancelGoal.Request())  # of no goal in particular: of all
+        if not ours:
+            self._ending = False
+
+    # --- before anything moves --------------------------------------------------------------------------------------
+
+    def preconditions(self) -> Sequence[Precondition]:
+        """Which nodes answer, and what the instruments read now."""
+        begun = time.monotonic()
+        while self._ending and time.monotonic() - begun < CANCEL_WAIT:
+            self._report("preconditions", "waits for the end of the run that was left behind", 0, 0, 0.0)
+            self._stop_if_cancelled()
+            time.sleep(0.5)
+        nodes = [self._answers("procedure_node", self._procedure.wait_for_server)]
+        if self._activates:
+            nodes.append(self._answers("correction_node", self._activate.wait_for_service, "start and configure it"))
+        sensor = Section(self._cell.path, "", self._cell.raw).section("force_sensor")
+        stations = [str(s["name"]) for s in self._cell.raw["stations"]]
+        range_n, noise = sensor.number("range_n", 1.0), self._cell.noise
+        found = judged_readings(self._look(), range_n, stations, self._confirmed, self._before, noise)
+        return (*nodes, *found)
+
+    def _answers(self, name: str, wait: Callable[..., bool], advice: str = "start it") -> Precondition:
+        there = bool(wait(timeout_sec=ANSWER_WAIT))
+        return Precondition(name, there, "answers" if there else f"does not answer; {advice}")
+
+    def _look(self) -> Readings:
+        """Listen for a few seconds, longer where they don't suffice."""
+        force: list[list[float]] = []
+        marker: list[list[float]] = []
+        joints: list[list[float]] = []
+        stations: list[str] = []
+        t_marker: list[float] = []
+        temperature: dict[str, list[float]] = {}
+        state: list[RobotState] = []
+
+        def on_wrench(m: WrenchStamped) -> None:
+            force.append([m.wrench.force.x, m.wrench.force.y, m.wrench.force.z])
+
+        def on_point(m: PointStamped) -> None:
+            marker.append([m.point.x, m.point.y, m.point.z])
+            t_marker.append(m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec)
+            stations.append(m.header.frame_id)
+
+        def on_joints(m: JointState) -> None:
+            if not joints or len(m.position) == len(joints[0]):
+                joints.append(list(m.position))
+
+        sensors = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+        listening: list[tuple[type, str, Callable[[Any], None]]] = [
+            (WrenchStamped, "wrench", on_wrench),
+            (PointStamped, "tracker/point", on_point),
+            (JointState, "joint_states", on_joints),
+            (RobotState, "robot/state", state.append),
+        ]
+        for name, types in self._node.get_topic_names_and_types():
+            if "sensor_msgs/msg/Temperature" in types and "temperature/" in name:
+                listening.append((Temperature, name, _into(temperature, name.rpartition("/")[2])))
+
+        def readings() -> Readings:
+            last = state[-1] if state else None
+            return Readings(
+                np.array(force).reshape(-1, 3), np.array(marker).reshape(-1, 3), np.array(joints), np.array(t_marker), stations,
+                {name: float(np.median(values)) for name, values in temperature.items()},
+                "" if last is None else MODES.get(last.mode, "an unknown"), last is not None and last.in_motion,
+            )  # fmt: skip
+
+        # a node of its own, turned in this thread: subscriptions must not be destroyed while another executor waits on them
+        ear = GuardedNode(
+            f"{self._node.get_name()}_listener",
+            context=self._node.context,
+            namespace=self._node.get_namespace(),
+            start_parameter_services=False,
+        )
+        executor = SingleThreadedExecutor(context=self._node.context)
+        executor.add_node(ear)
+        try:
+            for kind, name, take in listening:
+                ear.create_subscription(kind, name, take, sensors)
+            begun = time.monotonic()
+            for end in (LOOK_SECONDS, 0.5 * (LOOK_SECONDS + LOOK_LONGEST), LOOK_LONGEST):
+                while time.monotonic() - begun < end and self._node.context.ok():
+                    self._stop_if_cancelled()
+                    executor.spin_once(timeout_sec=0.1)
+                if enough_readings(readings(), self._cell.noise):
+                    break
+        finally:
+            executor.shutdown(timeout_sec=1.0)
+            ear.destroy_node()
+        return readings()
+
+    # --- measuring --------------------------------------------------------------------------------------------------
+
+    def run(self, poses_path: Path, session_path: Path, resume: bool, enough: Callable[[], bool]) -> str:
+        """Measure the poses of a file; see `CellSide.run`."""
+        self._measuring = True
+        try:
+            return self._run(poses_path, session_path, resume, enough)
+        finally:
+            self._measuring = False
+
+    def _run(self, poses_path: Path, session_path: Path, resume: bool, enough: Callable[[], bool]) -> str:
+        if not self._procedure.wait_for_server(timeout_sec=ANSWER_WAIT):
+            raise IrecError("procedure_node does not answer on irec/run_procedure; start it")
+        news: list[RunProcedure.Feedback] = []
+        goal = RunProcedure.Goal(poses_path=str(poses_path), session_path=str(session_path), resume=resume)
+        sent = self._procedure.send_goal_async(goal, feedback_callback=lambda m: news.append(m.feedback))
+        handle = waited(sent, ANSWER_WAIT)
+        if handle is None or not handle.accepted:
+            by = f" (it records to {self._recording})" if self._recording else ""
+            raise IrecError(f"procedure_node refused to start: another run is under way{by}; end that one first")
+        done = handle.get_result_async()
+        pose, decided = 0, False
+        while not done.done():
+            if not self._node.context.ok():
+                raise IrecError("the node is being shut down")
+            if why := self._cancelled():
+                self._end(handle, done)
+                raise Cancelled(f"{why}; the robot has left the contact, what was measured is kept")
+            if not self._procedure.server_is_ready():
+                raise IrecError("procedure_node has gone in the middle of the run")
+            if news:
+                last = news[-1]
+                left = last.remaining.sec + 1e-9 * last.remaining.nanosec
+                self._report(self._stage, f"pose {last.pose} of {last.poses}", last.pose, last.poses, left)
+                if last.pose > pose:
+                    pose = last.pose
+                    if pose > 1 and enough():
+                        decided = True
+                        self._end(handle, done)
+                        break
+                news.clear()
+            time.sleep(0.1)
+        result = done.result().result if done.done() else None
+        if decided or (result is not None and result.success):
+            return ""
+        return "no answer from procedure_node" if result is None else str(result.message)
+
+    def _end(self, handle: Any, done: Any) -> None:
+        handle.cancel_goal_async()
+        waited(done, CANCEL_WAIT)
+
+    def _stop_if_cancelled(self) -> None:
+        if why := self._cancelled():
+            raise Cancelled(f"{why} before anything was measured")
+
+    # --- afterwards -------------------------------------------------------------------------------------------------
+
+    def diagnose(self, session_path: Path, model_path: Path, folder: Path) -> Missing:
+        """`irec diagnose` in a process of its own; what could not be evaluated is no reason to stop."""
+        self._report("judgement", "looking for effects that the model lacks", 0, 0, 0.0)
+        try:
+            found = run_command(["diagnose", str(session_path), "--model", str(model_path), "--json", "-o", str(folder)])
+            verdict = found["verdict"]
+            parts = {
+                str(e): tuple(str(p) for p in (known or {}).get("proven", []))
+                for e, known in (verdict.get("parts") or {}).items()
+            }  # fmt: skip
+            size = float(verdict.get("size_m") or found.get("remaining_m") or 0.0)
+            effects = tuple(str(e) for e in verdict.get("effects", []))
+            return Missing(str(verdict["status"]), effects, parts, size, str(verdict["text"]))
+        except (IrecError, KeyError, TypeError, ValueError, AttributeError) as error:
+            self._node.get_logger().warning(f"the diagnosis could not be made: {error}")
+            return Missing(text=f"The diagnosis could not be made ({error}).")
+
+    def activate(self, model_path: Path) -> str:
+        """Empty where the model is plausible and the correction has taken it, else the reason."""
+        try:
+            check_before_force(model_path, self._cell, self._predicted_limit)
+        except IrecError as error:
+            return str(error)
+        if not self._activate.wait_for_service(timeout_sec=ANSWER_WAIT):
+            return "correction_node does not answer; start and configure it"
+        answer = waited(self._activate.call_async(ActivateModel.Request(model_path=str(model_path))), ANSWER_WAIT)
+        if answer is None:
+            return "correction_node gave no answer"
+        return "" if answer.success else str(answer.message)
+
+
+def _into(values: dict[str, list[float]], name: str) -> Callable[[Temperature], None]:
+    def take(message: Temperature) -> None:
+        values.setdefault(name, []).append(message.temperature)
+
+    return take
+
+
+def waited(future: Any, timeout: float) -> Any:
+    """Result of a future that another thread of the executor completes; None after the timeout, s."""
+    done = threading.Event()
+    future.add_done_callback(lambda _: done.set())
+    waited_s = 0.0
+    while not done.wait(0.2):
+        waited_s += 0.2
+        if waited_s >= timeout:
+            return None
+    return future.result()

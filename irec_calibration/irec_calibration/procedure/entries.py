@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each state of the table does once, on entry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..typing import Array
+from .checks import contact_problem
+from .commands import MoveJoint, MoveLinear, Row
+from .plausible import Standing
+from .standstill import Window
+
+if TYPE_CHECKING:
+    from .machine import Procedure
+
+WITHDRAW = 0.05  # m along the tool, from a contact that a run finds
+FIRST_POSE_LIMIT = 0.5  # share of the load cases of the first pose that may be rejected
+UNLOADED_N, UNLOADED_SHARE = 20.0, 0.15  # N and share of the normal force: more before contact is no process force
+SAME_TIME = 0.1  # s between readings that may be compared with each other
+
+
+def nothing(p: Procedure) -> None:
+    """Wait for the operator, or be done."""
+    if p.state == "paused":
+        p.event("paused", "")
+    elif p.state == "finished":
+        _judge_rejections(p, p.settings.skip_limit)
+        p.event("stopped" if p.stopped_because else "finished", p.stopped_because)
+
+
+def switch_to_position(p: Procedure) -> None:
+    """Line 24; also before a run, which then knows whether the driver has a dead man's switch."""
+    p.switch(False, np.zeros(3))
+
+
+def move_out(p: Procedure) -> None:
+    """Back along the tool from where the robot was found pressing."""
+    tcp = p.streams.newest_tcp
+    if tcp is None:
+        raise RuntimeError("a run was started without readings of tcp_pose")
+    R = Rotation.from_quat(tcp[1]).as_matrix()
+    p.move(MoveLinear(tcp[0] - WITHDRAW * R[:, 2], R, p.settings.linear_speed))
+
+
+def move_home(p: Procedure) -> None:
+    """Line 4; the rail stays where it is, since the arm may still be close to the tooling. Draws the order of the load cases."""
+    p.pose_since, p.recorded, p.case, p.outcome = p.since_elapsed, 0, 0, ""
+    if p.seed is not None and p.target is not None:
+        drawn = np.random.default_rng([p.seed, p.target.pose, p.repeat]).permutation(len(p.forces))
+        p.order = tuple(int(j) + 1 for j in drawn)
+    if problem := _standing_problem(p):
+        p.stop(problem)
+        return
+    p.move(MoveJoint(p.home, None, p.settings.home_speed))
+
+
+def move_to_approach(p: Procedure) -> None:
+    """Line 5."""
+    target = p.work[p.index][0]
+    if problem := _standing_problem(p, p.home):
+        p.stop(problem)
+        return
+    p.move(MoveJoint(target.q_approach, target.rail, p.settings.home_speed))
+
+
+def move_to_reference(p: Procedure) -> None:
+    """Lines 6 and 7."""
+    target = p.work[p.index][0]
+    if problem := _standing_problem(p, target.q_approach, target.rail):
+        p.stop(problem)
+        return
+    p.force_in_air = p.streams.newest_force
+    p.move(MoveLinear(target.p_reference, target.R_tool_in_base, p.settings.linear_speed))
+
+
+def _standing_problem(p: Procedure, q: Array | None = None, rail: float | None = None) -> str:
+    """What of the newest readings of the standing robot does not agree; q, rail: where it was to go."""
+    joints, tcp, marker = p.streams.newest_joints, p.streams.newest_tcp, p.streams.newest_marker
+    if p.plausibility is None or joints is None or tcp is None or not p.streams.stands:
+        return ""
+    newest = p.streams.newest()
+    if abs(newest["joints"] - newest["TCP"]) > SAME_TIME:
+        return ""  # one of them has stopped: the watch over silence says which
+    seen = marker is not None and marker[0] > max(p.streams.newest().values()) - SAME_TIME
+    place = marker[1:] if marker is not None and seen else (None, "")
+    s = _standing(p, joints, tcp[0], tcp[1], *place)
+    arrived = "" if q is None else p.plausibility.arrival_problem(s, q, rail)
+    return arrived or p.plausibility.problem(s)
+
+
+def _standing(p: Procedure, joints: Array, p_tcp: Array, quat: Array, p_marker: Array | None, station: str) -> Standing:
+    k = len(p.home)
+    rail = float(joints[k]) if len(joints) > k else 0.0
+    return Standing(joints[:k], rail, p_tcp, Rotation.from_quat(quat).as_matrix(), station, p_marker)
+
+
+def begin_window(p: Procedure) -> None:
+    """Only readings from now on may count."""
+    p.window_from = p.since
+
+
+def record_and_switch(p: Procedure) -> None:
+    """Lines 8 to 11: the window that stood still is the reference."""
+    window = _window(p)
+    if p.plausibility is not None and window.quat_tcp is not None:
+        marker = window.p_marker_in_station.mean(axis=0)
+        quat = window.quat_tcp[-1]
+        s = _standing(p, window.q.mean(axis=0), window.p_tcp_in_base.mean(axis=0), quat, marker, window.station)
+        if problem := p.plausibility.problem(s):
+            p.stop(problem)
+            return
+    read = window.force_in_tool.mean(axis=0)
+    limit = max(UNLOADED_N, UNLOADED_SHARE * abs(float(p.forces[0][2])))
+    if float(np.linalg.norm(read)) > limit:
+        _refuse_reference(p, read, limit)
+        return
+    p.reference = window
+    _record(p, 0)
+    p.case = 1
+    p.switch(True, _normal(p))
+
+
+def _refuse_reference(p: Procedure, read: Array, limit: float) -> None:
+    """A force at the reference is contact made too early, or bias or weight that was not removed: that reads in free air too."""
+    in_air = p.force_in_air
+    if in_air is not None and float(np.linalg.norm(in_air)) <= limit:
+        p.skip(
+            f"the tool touches the tooling at the reference already: the wrench reads {np.round(read).tolist()} N, limit"
+            f" {limit:.0f} N, and {np.round(in_air).tolist()} N in free air; the tooling stands nearer than the cell file says"
+        )
+        p.go("position_mode")
+        return
+    p.stop(
+        f"before contact the wrench reads {np.round(read).tolist()} N, limit {limit:.0f} N: is the sensor's bias set and the"
+        " tool's weight removed, and does nothing touch the tool?"
+    )
+
+
+def _normal(p: Procedure) -> Array:
+    """The part of the first load case along the tool: contact is made without lateral force, which would slide it."""
+    return np.array([0.0, 0.0, p.forces[p.load_case - 1][2]])
+
+
+def ask_for_contact(p: Procedure) -> None:
+    """Line 12: press with the normal force alone until the contact holds."""
+    p.window_from, p.force_before = p.since, None
+    p.set_force(_normal(p))
+
+
+def ask_for_force(p: Procedure) -> None:
+    """Line 13."""
+    p.window_from = p.since
+    p.force_before = p.streams.newest_force
+    p.counts.cases += 1
+    p.set_force(p.forces[p.load_case - 1])
+
+
+def record_row(p: Procedure) -> None:
+    """Lines 14 to 21, unless the contact slips."""
+    window, reference = _window(p), p.reference
+    if reference is None:
+        raise RuntimeError("record was entered without a reference")
+    station = p.station_rotation.get(reference.station)
+    if station is None:
+        problem = f"the tracker reports as '{reference.station}', which the cell file does not name"
+    else:
+        problem = contact_problem(window, reference, station.T @ p.work[p.index][0].R_tool_in_base, p.settings)
+    if problem:
+        p.reject(problem)
+        return
+    _record(p, p.load_case)
+    p.recorded += 1
+
+
+def _window(p: Procedure) -> Window:
+    if p.window is None:
+        raise RuntimeError("nothing stood still that could be recorded")
+    return p.window
+
+
+def _record(p: Procedure, load_case: int) -> None:
+    pose = p.work[p.index][0].pose
+    p.out.append(Row(pose, load_case, p.repeat, _window(p), p.streams.names, dict(p.streams.temperature)))
+
+
+def count_case(p: Procedure) -> None:
+    """Line 22."""
+    p.case += 1
+
+
+def move_to_retract(p: Procedure) -> None:
+    """Line 25."""
+    target = p.work[p.index][0]
+    p.move(MoveLinear(target.p_approach, target.R_tool_in_base, p.settings.linear_speed))
+
+
+def count_pose(p: Procedure) -> None:
+    """Line 26; a pose that was broken off is not counted, it is measured again."""
+    if p.outcome == "broken off":
+        return
+    if not p.outcome:
+        if p.recorded:
+            p.event("complete", f"{p.recorded} of {len(p.forces)} load cases")
+            p.counts.complete += 1
+            p.counts.seconds.append(p.since_elapsed - p.pose_since)
+        else:
+            p.skip(f"no load case could be recorded; the last because: {p.last_rejection}")
+    p.index += 1
+    if p.counts.complete + p.counts.skipped - len(p.refused) == 1:
+        _judge_rejections(p, FIRST_POSE_LIMIT)  # what is wrong with a driver is wrong at each pose
+
+
+def _judge_rejections(p: Procedure, limit: float) -> None:
+    """A run of which too much was rejected is no success."""
+    if p.counts.rejected > limit * p.counts.cases and not p.stopped_because:
+        p.stopped_because = (
+            f"{p.counts.rejected} of {p.counts.cases} load cases were rejected, limit {limit:.0%};"
+            f" the last because: {p.last_rejection}"
+        )
+
+
+def give_up(p: Procedure) -> None:
+    """The robot does not obey: stop asking."""
+    p.cancel_move()
+
+
+_ALL = (
+    nothing, switch_to_position, move_out, move_home, move_to_approach, move_to_reference, begin_window, record_and_switch,
+    ask_for_contact, ask_for_force, record_row, count_case, move_to_retract, count_pose, give_up,
+)  # fmt: skip
+ENTRIES: dict[str, Callable[[Procedure], None]] = {function.__name__: function for function in _ALL}

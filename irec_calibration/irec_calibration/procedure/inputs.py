@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The checked boundary: every reading passes here before anything is decided or recorded from it.
+
+Frame, stamp, finiteness, length, names, range. The first fault of a source stays, with its value, until the next run begins;
+a reading that is refused goes nowhere. Freshness is watched by the state machine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .axes import Axes
+from .standstill import Streams
+
+LARGEST_LAG = 2.0  # s between a stamp and the cell's clock; clocks that differ by more measure different moments
+SAME_STAMP = 20  # readings with one stamp, after which the stamp is no measurement
+LARGEST_FORCE = 1e5  # N
+LARGEST_TORQUE = 1e5  # N m
+LARGEST_REACH = 50.0  # m of the TCP from base_link
+LARGEST_SIGHT = 200.0  # m of the marker from the tracker
+BEYOND_LIMIT = 0.1  # rad or m that a reported joint may be outside the limits of the description
+TEMPERATURES = (-90.0, 500.0)  # degC
+FROZEN_S = 1.0  # s with one wrench or point repeated to the last bit; the noise of a working instrument changes it
+FROZEN_READINGS = 20  # that takes at least
+SPEED_FACTOR, JOINT_STEP = 2.0, 0.02  # times the velocity limit, and rad or m on top: an axis that moves further has jumped
+LONGEST_STEP = 1.0  # s between two joint states that can be compared
+
+
+class Inputs:
+    """Checks readings and hands the good ones to the streams.
+
+    Args:
+        stations: names of the tracker stations of the cell file.
+    """
+
+    def __init__(self, streams: Streams, axes: Axes, stations: Sequence[str]) -> None:
+        self.streams, self._axes, self._stations = streams, axes, tuple(stations)
+        self.faults: dict[str, str] = {}
+        self.dropped: dict[str, str] = {}  # what is refused without ending a run: the newest reason of each source
+        self._last: dict[str, float] = {}
+        self._same: dict[str, int] = {}
+        self._repeated: dict[str, tuple[float, int, tuple[float, ...]]] = {}  # since when, how often, which values
+        self._q: tuple[float, tuple[float, ...]] | None = None  # stamp and positions of the last joint states
+        self._names: tuple[str, ...] | None = None  # of the last joint_states, and where in it each axis is
+        self._places: tuple[int, ...] = ()
+
+    @property
+    def problem(self) -> str:
+        """The first fault of any source since `clear`, in a sentence; empty where there is none."""
+        return next(iter(self.faults.values()), "")
+
+    def clear(self) -> None:
+        """A new run begins."""
+        self.faults.clear()
+
+    def _fault(self, source: str, text: str) -> bool:
+        self.faults.setdefault(source, f"{source}: {text}")
+        return False
+
+    def _stamped(self, source: str, now: float, stamp: float) -> bool:
+        """Whether the reading is new and of now; an old one that is sent again is left out."""
+        if stamp == 0.0:
+            return self._fault(source, "the stamp is 0; the driver has to stamp each reading with the time at which it was taken")
+        lag = now - stamp
+        if not abs(lag) <= LARGEST_LAG:
+            return self._fault(
+                source,
+                f"the stamp is {abs(lag):.1f} s {'behind' if lag > 0 else 'ahead of'} the clock, limit {LARGEST_LAG:g} s;"
+                " does the driver use this clock (use_sim_time, time synchronisation)?",
+            )
+        last = self._last.get(source, -math.inf)
+        if stamp <= last and last - stamp < LARGEST_LAG:
+            self._same[source] = self._same.get(source, 0) + 1
+            if self._same[source] >= SAME_STAMP:
+                return self._fault(source, f"{SAME_STAMP} readings in a row are not newer than stamp {last:.3f} s")
+            return False
+        self._last[source], self._same[source] = stamp, 0
+        return True
+
+    def _moves(self, source: str, stamp: float, values: Sequence[float]) -> bool:
+        """Whether the reading has changed lately; an instrument that repeats one to the last bit measures nothing."""
+        since, times, before = self._repeated.get(source, (stamp, 0, ()))
+        if tuple(values) != before or stamp < since:
+            self._repeated[source] = stamp, 1, tuple(values)
+            return True
+        self._repeated[source] = since, times + 1, before
+        if stamp - since <= FROZEN_S or times < FROZEN_READINGS:
+            return True
+        return self._fault(
+            source,
+            f"{_list(values)} is repeated to the last bit for {stamp - since:.1f} s, limit {FROZEN_S:g} s: the instrument or its"
+            " driver has stopped measuring, or the driver holds readings back (a dead band?)",
+        )
+
+    def _numbers(self, source: str, what: str, values: Sequence[float], largest: float, unit: str) -> bool:
+        for value in values:
+            if not math.isfinite(value):
+                return self._fault(source, f"{what} is {_list(values)}; finite numbers are needed, or no message")
+            if abs(value) > largest:
+                return self._fault(source, f"{what} is {_list(values)} {unit}; more than {largest:g} {unit} can't be")
+        return True
+
+    def _frame(self, source: str, frame: str, wanted: str) -> bool:
+        return frame == wanted or self._fault(source, f"header.frame_id is '{frame}', the contract says '{wanted}'")
+
+    def wrench(self, now: float, stamp: float, frame: str, force: Sequence[float], torque: Sequence[float]) -> bool:
+        """Force (3), N, and torque (3), N m, of the environment on the robot at the TCP in tool0. Whether it was taken."""
+        if not (
+            self._frame("wrench", frame, "tool0")
+            and self._numbers("wrench", "the force", force, LARGEST_FORCE, "N")
+            and self._numbers("wrench", "the torque", torque, LARGEST_TORQUE, "N m")
+            and self._stamped("wrench", now, stamp)
+            and self._moves("wrench", stamp, (*force, *torque))
+        ):
+            return False
+        self.streams.add_wrench(stamp, (*force, *torque))
+        return True
+
+    def joints(self, now: float, stamp: float, names: Sequence[str], position: Sequence[float]) -> bool:
+        """Joints and external axes by the driver's names, rad and m, in any order. Whether they were taken."""
+        source = "joint_states"
+        if len(names) != len(position):
+            return self._fault(source, f"{len(names)} names with {len(position)} positions")
+        if tuple(names) != self._names:
+            missing = [name for name in self._axes.driver if name not in names]
+            if missing:
+                return self._fault(
+                    source,
+                    f"there is no '{missing[0]}' among {', '.join(map(repr, names)) or 'no names'}; the cell file can state how"
+                    " the driver names the joints (robot.joint_names, robot.rail.joint_name)",
+                )
+            self._names, self._places = tuple(names), tuple(list(names).index(name) for name in self._axes.driver)
+        q = [position[k] for k in self._places]
+        if not (self._numbers(source, "the position", q, math.inf, "rad") and self._within_limits(source, q)):
+            return False
+        if not (self._stamped(source, now, stamp) and self._no_jump(source, stamp, q)):
+            return False
+        self.streams.add_joints(stamp, self._axes.recorded, tuple(q))
+        return True
+
+    def _within_limits(self, source: str, q: Sequence[float]) -> bool:
+        axes = self._axes
+        for name, value, low, high, turns in zip(axes.driver, q, axes.lower, axes.upper, axes.revolute, strict=True):
+            if not low - BEYOND_LIMIT <= value <= high + BEYOND_LIMIT:
+                unit = "rad" if turns else "m"
+                return self._fault(
+                    source,
+                    f"{name} is at {value:.4g} {unit}, its limits are {low:.4g} and {high:.4g} {unit}; "
+                    + ("is it in degrees?" if turns else "is it in mm?"),
+                )
+        return True
+
+    def _no_jump(self, source: str, stamp: float, q: Sequence[float]) -> bool:
+        before, self._q = self._q, (stamp, tuple(q))
+        if before is None or not 0.0 < stamp - before[0] <= LONGEST_STEP:
+            return True
+        axes, passed = self._axes, stamp - before[0]
+        for name, value, last, speed, turns in zip(axes.driver, q, before[1], axes.velocity, axes.revolute, strict=True):
+            allowed = SPEED_FACTOR * speed * passed + JOINT_STEP
+            if abs(value - last) > allowed:
+                unit = "rad" if turns else "m"
+                return self._fault(
+                    source,
+                    f"{name} has moved from {last:.4g} to {value:.4g} {unit} in {1e3 * passed:.0f} ms, its speed allows"
+                    f" {allowed:.3g} {unit}: an encoder or the rail's scale is lost, or somebody else publishes",
+                )
+        return True
+
+    def tcp(self, now: float, stamp: float, frame: str, p: Sequence[float], quat_xyzw: Sequence[float]) -> bool:
+        """tool0 in base_link, m and unit quaternion. Whether it was taken."""
+        source = "tcp_pose"
+        if not (
+            self._frame(source, frame, "base_link")
+            and self._numbers(source, "the orientation", quat_xyzw, 1.01, "(unit quaternion)")
+            and self._numbers(source, "the position", p, math.inf, "m")
+        ):
+            return False
+        if max(map(abs, p)) > LARGEST_REACH:
+            return self._fault(source, f"the position is {_list(p)} m, further than {LARGEST_REACH:g} m can't be; is it in mm?")
+        norm = math.sqrt(sum(c * c for c in quat_xyzw))
+        if abs(norm - 1.0) > 1e-2:
+            return self._fault(source, f"the orientation is {_list(quat_xyzw)} of length {norm:.3f}; a unit quaternion is needed")
+        if not self._stamped(source, now, stamp):
+            return False
+        self.streams.add_tcp(stamp, *p, *quat_xyzw)
+        return True
+
+    def marker(self, now: float, stamp: float, frame: str, p: Sequence[float]) -> bool:
+        """Marker in the frame of the station that measured, m. Whether it was taken."""
+        source = "tracker/point"
+        if frame not in self._stations:
+            known = ", ".join(f"'{name}'" for name in self._stations)
+            return self._fault(source, f"header.frame_id is '{frame}'; the stations of the cell file are {known}")
+        if not self._numbers(source, "the marker", p, math.inf, "m"):
+            return False
+        if max(map(abs, p)) > LARGEST_SIGHT:
+            return self._fault(source, f"the marker is {_list(p)} m from the station; is it in mm?")
+        if not any(p):
+            return self._fault(source, "the marker is at (0, 0, 0); nothing may be sent while the line of sight is broken")
+        if not (self._stamped(source, now, stamp) and self._moves(source, stamp, p)):
+            return False
+        self.streams.add_marker(stamp, p[0], p[1], p[2], frame)
+        return True
+
+    def temperature(self, name: str, value: float) -> bool:
+        """degC. What can't be is left out and noted: a temperature is not needed."""
+        low, high = TEMPERATURES
+        if not low <= value <= high:
+            self.streams.temperature.pop(name, None)
+            self.dropped[f"temperature/{name}"] = f"temperature/{name}: {value} degC is left out"
+            return False
+        self.streams.temperature[name] = value
+        return True
+
+
+def _list(values: Sequence[float]) -> str:
+    return f"({', '.join(f'{v:.4g}' for v in values)})"

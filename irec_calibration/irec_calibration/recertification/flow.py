@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One recertification from the first check to the certificate, whatever carries it out: nodes, or a test.
+
+    preconditions -> quick check -> (only where needed or asked for) full procedure -> judgement -> certificate -> in force
+
+What has been decided and measured so far is on the disk at every moment (`runs/<stamp>/run.json`), so that a run which was
+interrupted, by whatever, goes on from its last complete pose.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+from ..codec.follow import complete_poses
+from ..errors import IrecError, ModelError
+from ..model import Model
+from ..model.file import save_model
+from ..poses.store import PoseList, read_poses, write_poses
+from ..session import Session, read_session, write_table
+from ..typing import Json
+from .journal import Entry
+from .judgement import Judgement, Missing, judge, with_diagnosis
+from .preconditions import Precondition, own_preconditions
+from .quick_check import QuickResult, Reference, check, reference_of
+from .quick_plan import QuickPlan, plan
+from .request import Place, Request
+from .run_state import Run, begin, compared_with, session_of
+from .station import with_stations_found
+from .store import Store
+
+GO_ON = "Do this now: mend that, then call irec/recertify with resume; it goes on after the last complete pose"
+CHECK_A_PART = "Do this now: check one part at reduced speed."
+
+
+class CellSide(Protocol):
+    """What a recertification needs of the cell."""
+
+    def preconditions(self) -> Sequence[Precondition]:
+        """Look at robot, tracker, sensor and nodes now; nothing moves."""
+
+    def run(self, poses_path: Path, session_path: Path, resume: bool, enough: Callable[[], bool]) -> str:
+        """Measure the poses; `enough` is asked after each pose and ends the run. Empty, or why it ended before its end.
+
+        Raises Cancelled where the operator has cancelled.
+        """
+
+    def diagnose(self, session_path: Path, model_path: Path, folder: Path) -> Missing:
+        """The diagnosis of a session that starts from a model."""
+
+    def activate(self, model_path: Path) -> str:
+        """Put a model in force in the correction. Empty, or why it was refused."""
+
+    def report(self, stage: str, text: str) -> None:
+        """Progress for the person at the cell."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of a recertification.
+
+    Attributes:
+        verdict: `pass`, `recalibrated`, `investigate: what`, `failed: why`.
+        text: for the person at the cell; ends in what to do now.
+        activated: a new calibration is in force.
+        calibration: its number in the store, empty where none was stored.
+        folder: of this run (session, certificate).
+        quick, judgement: what they rest on, None where that stage did not take place.
+    """
+
+    verdict: str
+    text: str
+    activated: bool = False
+    calibration: str = ""
+    folder: Path | None = None
+    session_path: str = ""
+    quick: QuickResult | None = None
+    quick_plan: QuickPlan | None = None
+    judgement: Judgement | None = None
+    preconditions: tuple[Precondition, ...] = ()
+
+
+def recertify(place: Place, store: Store, request: Request, side: CellSide) -> Outcome:
+    """Carry out a recertification.
+
+    Raises:
+        Cancelled: the operator has cancelled; the run can be resumed.
+        IrecError: it can't go on; the calibration in force is unchanged and the run can be resumed.
+    """
+    side.report("preconditions", "looking at robot, instruments and files; nothing moves")
+    found = (*own_preconditions(place, store, request), *side.preconditions())
+    missing = [p for p in found if not p.holds]
+    if missing:
+        text = " ".join(f"{p.name}: {p.text}." for p in missing)
+        again = " and ".join(p.name for p in missing)
+        text = f"Nothing was moved. {text} Do this now: put that right ({again}), then start again."
+        return Outcome(f"failed: {missing[0].name}", text, preconditions=found)
+    run = begin(store, request)
+    now = compared_with(store, run)
+    before = None if now is None else session_of(store, now[0])
+    quick, chosen = None, None
+    if run.stage == "quick_check":
+        if now is None or before is None or run.full:
+            run.stage = "procedure"
+        else:
+            quick, chosen = _quick_check(place, store, run, now, before, side)
+            if quick.decision == "pass" or run.check_only:
+                return _close(store, run, _checked(store, run, quick, chosen, found))
+            run.stage = "procedure"
+        run.save()
+    elif now is not None and before is not None:
+        quick, chosen = _quick_check_of(place, run, now[2], before)
+    if run.stage == "procedure":
+        side.report("procedure", "the full procedure")
+        why = side.run(Path(run.poses_path), run.session, run.session.exists(), lambda: False)
+        if why:
+            raise IrecError(f"{why.rstrip('.')}. {GO_ON}")
+        run.stage = "judgement"
+        run.save()
+    side.report("judgement", "identifying the calibration anew and comparing it with the one in force")
+    outcome = _judge(place, store, run, None if now is None else now[2], before, side)
+    return _close(store, run, replace(outcome, quick=quick, quick_plan=chosen, preconditions=found))
+
+
+def _quick_check(
+    place: Place, store: Store, run: Run, now: tuple[Entry, Path, Model], before: Session, side: CellSide
+) -> tuple[QuickResult, QuickPlan]:
+    side.report("quick_check", "choosing poses that would show a change")
+    reference = reference_of(now[2].terms, before, place.tolerance)
+    chosen = plan(reference)
+    poses = _quick_poses(store, now[0], chosen, run.folder / "quick_poses.yaml", place)
+    results: list[QuickResult] = []
+
+    def enough() -> bool:
+        result = _so_far(reference, chosen, run.session)
+        if result is None:
+            return False
+        results.append(result)
+        side.report("quick_check", result.text)
+        return result.decision != "undecided"
+
+    why = ""
+    if not enough():  # of a run that was interrupted after its last pose
+        why = side.run(poses, run.session, run.session.exists(), enough)
+        enough()
+    if not results or (why and results[-1].decision == "undecided"):
+        raise IrecError(f"{(why or 'no pose of the quick check could be used').rstrip('.')}. {GO_ON}")
+    return results[-1], chosen
+
+
+def _quick_check_of(place: Place, run: Run, model: Model, before: Session) -> tuple[QuickResult | None, QuickPlan | None]:
+    """What the quick check had found before a run was interrupted; None where it did not take place."""
+    path = run.folder / "quick.mcap"
+    if not path.exists():
+        return None, None
+    reference = reference_of(model.terms, before, place.tolerance)
+    chosen = plan(reference)
+    quick = _so_far(reference, chosen, path)
+    return quick, chosen if quick is not None else None
+
+
+def _so_far(reference: Reference, chosen: QuickPlan, path: Path) -> QuickResult | None:
+    try:
+        session = read_session(path)
+        complete = complete_poses(session)
+        return check(reference, session.select_poses(complete.tolist()), chosen.sizes) if len(complete) else None
+    except IrecError:  # nothing complete has reached the disk yet
+        return None
+
+
+def _quick_poses(store: Store, entry: Entry, chosen: QuickPlan, path: Path, place: Place) -> Path:
+    """A pose file with the visits of the plan; as many of them are made as are needed."""
+    kept = store.folder / entry.calibration / "poses.yaml"
+    of = {p.index: p for p in read_poses(kept, place.serial, place.robot.sha256).poses}
+    known = [n for n in chosen.poses if n in of]
+    if len(known) < len(chosen.poses):
+        raise ModelError(f"{kept}: does not hold pose {sorted(set(chosen.poses) - set(of))[0]} of the calibration's session")
+    listed = read_poses(kept)
+    poses = tuple(replace(of[n], index=i) for i, n in enumerate(known, 1))
+    return write_poses(PoseList(listed.cell, listed.serial, listed.urdf_sha256, listed.joint_names, poses, {}), path)
+
+
+def _checked(store: Store, run: Run, quick: QuickResult, chosen: QuickPlan, found: tuple[Precondition, ...]) -> Outcome:
+    """The end of a run that stays with the quick check."""
+    if quick.decision == "pass":
+        verdict, text = "pass", quick.text
+    elif quick.decision == "changed":
+        verdict, text = "failed: the robot has changed", quick.text
+    else:
+        verdict, text = "failed: not decided", f"{quick.text} Do this now: run the full procedure."
+    figures = {"poses": quick.poses, "odds_of_change": quick.e_value, "like": list(quick.like), "run": run.folder.name}
+    if store.of_run(run.folder.name, "checked") is None:
+        store.record_check(verdict, run.operator, figures)
+    return Outcome(verdict, text, False, "", run.folder, str(run.folder / "quick.mcap"), quick, chosen, None, found)
+
+
+def _judge(place: Place, store: Store, run: Run, model: Model | None, before: Session | None, side: CellSide) -> Outcome:
+    run.stage = "judgement"
+    session = with_stations_found(read_session(run.session))
+    judgement = judge(session, model, before, place.acceptance, place.tolerance)
+    files = run.folder / "calibration"
+    shutil.rmtree(files, ignore_errors=True)
+    files.mkdir(parents=True)
+    path = save_model(judgement.model, files / "model.yaml")
+    side.report("judgement", "looking for effects that the model lacks")
+    measured = write_table(session, files / "session")  # a tracker that was put up anew is no effect that the model lacks
+    judgement = with_diagnosis(judgement, side.diagnose(measured, path, files / "diagnosis"), place.tolerance)
+    shutil.copyfile(run.poses_path, files / "poses.yaml")
+    figures: Json = {**judgement.figures, "run": run.folder.name, "session": str(run.session)}
+    entry = store.of_run(run.folder.name, "added") or store.add(files, judgement.verdict, run.operator, figures)
+    number, at = entry.calibration, str(run.session)
+    outcome = Outcome(judgement.verdict, judgement.text, False, number, run.folder, at, judgement=judgement)
+    if judgement.verdict != "recalibrated":
+        return outcome
+    how = f"ros2 service call irec/put_in_force with calibration {number}"
+    if run.dry_run:
+        return replace(outcome, text=f"{outcome.text} This was a dry run: nothing was put in force. To do that: {how}.")
+    refused = side.activate(store.model_path(entry.calibration))
+    if refused:
+        text = (
+            f"{outcome.text} It is stored as {number} but not in force: {refused.rstrip('.')}. Do this now: mend that, then put"
+            f" it in force ({how}); nothing has to be measured again."
+        )
+        return replace(outcome, text=text)
+    now = store.in_force_entry()
+    if now is None or now.calibration != entry.calibration:
+        store.put_in_force(entry.calibration, run.operator)
+    kept = "; the one before it was kept" if model is not None else ""
+    return replace(outcome, activated=True, text=f"{outcome.text} It is now in force{kept}. {CHECK_A_PART}")
+
+
+def _close(store: Store, run: Run, outcome: Outcome) -> Outcome:
+    run.stage, run.verdict = "done", outcome.verdict
+    run.save()
+    return outcome

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The quick check: a few poses measured again, and a sequential test whether the robot is still as its calibration says.
+
+The calibration is taken with its own uncertainty. With B the columns of the model in force and of all changes looked for, and
+gamma what the rows of the calibration itself say about them (ridge regression on what the model leaves there),
+
+    d = y_now - predicted_now - B_now gamma ~ N(0, s^2 Sigma_now + B_now P B_now' + N V N'),
+
+where P is the covariance of gamma, N holds the unknown rotation of the tracker station and s is the noise that the calibration
+showed. A cause that the model lacked already then is thus no change. After each pose:
+
+* the robot has *changed* when the mean of the likelihood ratios of all changes, at several sizes, reaches 1/alpha. That mean is
+  a martingale where nothing has changed, so a false alarm has probability alpha at the most however often one looks (Ville);
+* it *passes* when the likelihood ratio of each change, at the size at which it must be found, is below beta / 2, or when after
+  the last pose the estimate of each is so far below that size that a robot with it comes as low with probability beta / 2: a
+  robot with one of these changes passes with probability beta at the most.
+
+The size at which a change must be found is that of `changes`, or a larger one where the poses can't show so little (see
+`quick_plan`); what it is, is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import logsumexp, ndtri
+
+from ..identification.identify import observe_with_force_noise
+from ..identification.observe import Observation
+from ..model import Term, regressors, total_displacement
+from ..session import Session
+from ..typing import Array
+from .changes import Change, changes
+from .station import with_stations_found
+
+FALSE_ALARM = 0.02
+MISSED = 0.05
+FEWEST_TO_ALARM, FEWEST_POSES = 3, 5
+MOST_VISITS = 16
+SIZES = (1.0, 2.0, 4.0, 8.0)  # multiples of the size at which a change must be found
+STATION_ROTATION = 1e-3  # rad, one standard deviation of what is left after the station was found anew
+VISIBLE = 0.3  # whitened length of a change over the whole calibration below which no quick check could show it
+QUIETEST = 0.3  # of the stated noise: a fit to few rows must not make the test believe in less
+WIDE = 10.0  # prior standard deviation of each column: multiples of its change, or of the parameter's scale
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the calibration in force was made from, and what it leaves open.
+
+    Attributes:
+        terms: of the model in force. observation: of its session.
+        scale: standard deviation of the rows relative to what session.yaml states, as the calibration itself shows it.
+        gamma, covariance: what the calibration says of the columns of `_columns`, (p,) and (p, p).
+        columns: these at the rows of the calibration, (3 m, p).
+        changes: those that the calibration's poses can show; each with its displacement as observed there, (m, 3), m.
+        tolerance: of the process, m.
+    """
+
+    terms: tuple[Term, ...]
+    observation: Observation
+    scale: float
+    gamma: Array
+    covariance: Array
+    columns: Array
+    changes: tuple[Change, ...]
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class QuickResult:
+    """State of the check after some poses.
+
+    Attributes:
+        decision: `pass`, `changed` or `undecided`.
+        e_value: evidence against "nothing has changed"; 1 / alpha or more is an alarm.
+        ratio: change -> likelihood ratio at the size at which it must be found.
+        size: change -> most likely size, in multiples of that in `changes`.
+        like: changes that the data look like, most likely first (only where changed).
+        named: change -> effect and part that describe it. words: change -> in plain words at its most likely size.
+        poses: how many poses took part. text: for the person at the cell.
+    """
+
+    decision: str
+    e_value: float
+    ratio: dict[str, float]
+    size: dict[str, float]
+    like: tuple[str, ...]
+    poses: int
+    text: str
+    named: dict[str, tuple[str, str]]
+    words: dict[str, str]
+
+
+def reference_of(terms: Sequence[Term], session: Session, tolerance: float) -> Reference:
+    """Prepare the calibration in force for quick checks.
+
+    Args:
+        session: the session that the model in force was identified from. tolerance: of the process, m.
+    """
+    terms = tuple(t for t in terms if not t.effect.registers)
+    observation = observe_with_force_noise(with_stations_found(session), terms)
+    residual = observation.whiten(observation.y - observation.of(total_displacement(terms, observation.scene))).ravel()
+    columns = _columns(terms, observation)
+    scale, gamma, covariance = _ridge(observation.whiten(columns).reshape(len(residual), -1), residual)
+    seen = []
+    for change in changes(terms, observation.scene):
+        displacement = observation.of(change.displacement)
+        if np.linalg.norm(observation.whiten(displacement)) > VISIBLE:
+            seen.append(replace(change, displacement=displacement))
+    columns = columns.reshape(len(residual), -1)
+    return Reference(terms, observation, scale, gamma, covariance, columns, tuple(seen), tolerance)
+
+
+def _ridge(B: Array, residual: Array) -> tuple[float, Array, Array]:
+    """Noise relative to what is stated, coefficients (p,), their covariance (p, p); of whitened columns (n, p) and residual."""
+    G, h = B.T @ B, B.T @ residual
+    scale = 1.0
+    for _ in range(3):  # the noise decides how much the prior shrinks, and the other way round
+        inverse = np.linalg.inv(G / scale**2 + np.eye(len(G)) / WIDE**2)
+        gamma = inverse @ h / scale**2
+        freedom = max(len(residual) - float(np.sum(inverse * G)) / scale**2, 1.0)
+        scale = max(float(np.linalg.norm(residual - B @ gamma)) / np.sqrt(freedom), QUIETEST)
+    return scale, gamma, np.asarray(inverse, dtype=np.float64)
+
+
+def _columns(terms: Sequence[Term], observation: Observation) -> Array:
+    """Displacement as observed per unit of each free parameter (scaled) and of each change, (m, 3, p), m."""
+    scene = observation.scene
+    blocks = []
+    for term, block in zip(terms, regressors(terms, scene), strict=True):
+        own = term.effect.parameters(scene)
+        free = term.free(own)
+        blocks.append(block[:, :, free] * np.array([own[j].scale for j in free]))
+    blocks += [c.displacement[:, :, None] for c in changes(terms, scene)]
+    return observation.of(np.concatenate(blocks, axis=2))
+
+
+def check(reference: Reference, session: Session, sizes: Mapping[str, float] | None = None) -> QuickResult:
+    """Test the poses measured so far.
+
+    Args:
+        session: complete poses of this check, of the same robot.
+        sizes: change -> multiple of its size in `changes` at which it must be found; 1 where it is not named.
+
+    Raises:
+        SolveError: no row can be used.
+    """
+    terms = reference.terms
+    now = observe_with_force_noise(with_stations_found(session), terms)
+    columns = _columns(terms, now)
+    B = columns.reshape(3 * len(now.rows), -1)
+    d = (now.y - now.of(total_displacement(terms, now.scene))).ravel() - B @ reference.gamma
+    scale = reference.scale
+    if d.size > 2 * B.shape[1]:  # a noisier tracker is no change of the robot
+        white = now.whiten(d.reshape(-1, 3)).ravel()
+        scale = max(scale, _ridge(now.whiten(columns).reshape(B.shape), white)[0])
+    covariance = np.kron(scale**2 * row_covariance(now), np.eye(3)) + B @ reference.covariance @ B.T
+    visible = {c.name for c in reference.changes}
+    looked_for = [c for c in changes(terms, now.scene) if c.name in visible]
+    least = np.array([(sizes or {}).get(c.name, 1.0) for c in looked_for])
+    A = np.stack([now.of(c.displacement).ravel() for c in looked_for], axis=1) * least
+    WA = weighted(covariance, station_columns(now.of(now.scene.p_observed) + now.y), A)
+    return _decide(looked_for, least, WA.T @ d, np.einsum("ij,ij->j", A, WA), len(now.poses))
+
+
+def weighted(covariance: Array, nuisance: Array, columns: Array) -> Array:
+    """W A with the inverse covariance W of rows (n, n) of which columns (n, r) with unit variance are unknown; A (n, p)."""
+    L = cho_factor(covariance, lower=True)
+    Z, U = cho_solve(L, columns), cho_solve(L, nuisance)
+    return np.asarray(Z - U @ np.linalg.solve(np.eye(nuisance.shape[1]) + nuisance.T @ U, nuisance.T @ Z), dtype=np.float64)
+
+
+def _decide(looked_for: Sequence[Change], least: Array, z: Array, information: Array, poses: int) -> QuickResult:
+    """Decide from the scores z and informations of the changes, each at its size `least`."""
+    log_ratio = np.array([[k * z_ - 0.5 * k * k * i_ for k in SIZES] for z_, i_ in zip(z, information, strict=True)])
+    e_value = float(np.exp(min(logsumexp(log_ratio) - np.log(log_ratio.size), 700.0)))
+    ratio = {c.name: float(np.exp(min(r[0], 700.0))) for c, r in zip(looked_for, log_ratio, strict=True)}
+    found = np.clip(np.divide(z, information, out=np.zeros_like(z), where=information > 0), 0.0, None) * least
+    size = {c.name: float(f) for c, f in zip(looked_for, found, strict=True)}
+    named = {c.name: (c.effect, c.part) for c in looked_for}
+    words = {c.name: c.text(size[c.name]) for c in looked_for}
+    by_change = logsumexp(log_ratio, axis=1)
+    order = np.argsort(-by_change)
+    like = tuple(looked_for[i].name for i in order if by_change[i] > by_change[order[0]] - np.log(20.0))
+    if e_value >= 1.0 / FALSE_ALARM and poses >= FEWEST_TO_ALARM:
+        text = (
+            f"The robot has changed since its calibration (odds {e_value:.3g} to 1 after {poses} poses). It looks like: "
+            + " or ".join(words[n] for n in like[:3])
+            + ". Do this now: run the full recalibration."
+        )
+        return QuickResult("changed", e_value, ratio, size, like, poses, text, named, words)
+    lowest = ndtri(MISSED / 2.0)  # of (estimate - size) / standard error, for a robot that has changed by just that size
+    excluded = {
+        c.name
+        for c, z_, i_ in zip(looked_for, z, information, strict=True)
+        if ratio[c.name] <= MISSED / 2.0 or (poses >= MOST_VISITS and i_ > 0 and (z_ - i_) / np.sqrt(i_) <= lowest)
+    }
+    if poses >= FEWEST_POSES and set(ratio) <= excluded:
+        text = f"The robot is as it was when it was calibrated ({poses} poses). Nothing has to be done."
+        return QuickResult("pass", e_value, ratio, size, (), poses, text, named, words)
+    left = [c.text(k) for c, k in zip(looked_for, least.tolist(), strict=True) if c.name not in excluded]
+    text = f"After {poses} poses it is not decided yet whether there is: {', '.join(left[:4]) or 'any change'}."
+    return QuickResult("undecided", e_value, ratio, size, (), poses, text, named, words)
+
+
+def row_covariance(observation: Observation) -> Array:
+    """Covariance of the observed rows per coordinate, (m, m), m^2: their own noise, and that of the reference they share."""
+    w = observation.whiten
+    same = w.group[:, None] == w.group[None, :]
+    return np.diag(w.sigma**2) + np.where(same, w.sigma_reference[:, None] * w.sigma_reference[None, :], 0.0)
+
+
+def station_columns(displacement: Array) -> Array:
+    """Change of displacements (m, 3) by one standard deviation of the station's rotation about x, y, z: (3 m, 3)."""
+    return np.stack([np.cross(e, displacement).ravel() for e in np.eye(3)], axis=1) * STATION_ROTATION

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which poses of the calibration a quick check visits again, and how small a change they can show.
+
+The power to see a change at a set of visits S is the information that `quick_check.check` will have of it there,
+
+    i = a' (s^2 Sigma_S + B_S P B_S' + N V N')^-1 a,
+
+so that what the calibration itself leaves open, and where the tracker stands, is taken into account. Visits are chosen one by
+one, each for what the changes that are not yet seen well enough gain by it; then for each it is asked whether another is better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..typing import Array, IntArray
+from .changes import never_shown
+from .quick_check import MOST_VISITS, Reference, row_covariance, station_columns, weighted
+
+FIRST = 8  # visits of different poses, before any pose is visited again
+MOST_TIMES = 2  # visits of one pose
+SEEN_WELL = 4.2  # signal to noise at which a change is excluded with 98 % where there is none, and missed with 2.5 %
+MATTERS = 0.10  # share of the tolerance: a change that moves the tool by more has to be found at its size in `changes`
+MOST = 0.20  # share of the tolerance: no other change that moves the tool by more may pass
+
+
+@dataclass(frozen=True)
+class QuickPlan:
+    """Visits of a quick check.
+
+    Attributes:
+        poses: pose numbers of the calibration session in the order of the visits, MOST_VISITS at the most.
+        power: change -> signal to noise ratio after the FIRST of them, at its size in `changes`.
+        sizes: change -> multiple of that size at which it must be found: 1, or what those visits can show; never so much that
+            it moves the tool by more than MOST of the tolerance.
+        moved: change -> largest displacement of the observed point at its size in `changes`, m.
+        seen: what is found, each change at the size at which it must be, in plain words. never: what no pose can show.
+    """
+
+    poses: tuple[int, ...]
+    power: dict[str, float]
+    sizes: dict[str, float]
+    moved: dict[str, float]
+    seen: tuple[str, ...]
+    never: tuple[str, ...]
+
+
+def plan(reference: Reference) -> QuickPlan:
+    """Choose visits by the power to see each change, the most telling first."""
+    power = _Power(reference)
+    times = np.zeros(power.poses, dtype=np.int64)
+    order: list[int] = []
+    while len(order) < min(MOST_VISITS, MOST_TIMES * power.poses):
+        most = 1 if len(order) < min(FIRST, power.poses) else MOST_TIMES
+        best = max(np.flatnonzero(times < most).tolist(), key=lambda i: power.worth(_with(times, i)))
+        times[best] += 1
+        order.append(best)
+    for place, old in enumerate(order):  # each visit once more: is there a better one?
+        without = times.copy()
+        without[old] -= 1
+        allowed = np.flatnonzero(without < (1 if place < FIRST else MOST_TIMES)).tolist()
+        best = max(allowed, key=lambda i: power.worth(_with(without, i)))
+        if power.worth(_with(without, best)) > 1.001 * power.worth(times):
+            times, order[place] = _with(without, best), best
+    moved = {c.name: float(np.linalg.norm(c.displacement, axis=1).max()) for c in reference.changes}
+    after = np.sqrt(power.of(np.bincount(order[:FIRST], minlength=power.poses)))
+    seen = {c.name: float(a) for c, a in zip(reference.changes, after, strict=True)}
+    share = {n: m / reference.tolerance for n, m in moved.items()}
+    largest = {n: 1.0 if s > MATTERS else MOST / s for n, s in share.items()}
+    sizes = {n: float(np.clip(SEEN_WELL / max(seen[n], 1e-9), 1.0, largest[n])) for n in moved}
+    return QuickPlan(
+        tuple(int(reference.observation.poses[i]) for i in order), seen, sizes, moved,
+        tuple(c.text(sizes[c.name]) for c in reference.changes),
+        tuple(never_shown(reference.changes, reference.observation.scene.n_joints)),
+    )  # fmt: skip
+
+
+def _with(times: IntArray, i: int) -> IntArray:
+    more = times.copy()
+    more[i] += 1
+    return more
+
+
+class _Power:
+    """Information of each change for numbers of visits (poses,)."""
+
+    def __init__(self, reference: Reference) -> None:
+        o = reference.observation
+        index = np.searchsorted(o.poses, o.pose)
+        self.poses = len(o.poses)
+        self._rows = [np.flatnonzero(index == i) for i in range(self.poses)]
+        self._noise = reference.scale**2 * row_covariance(o)
+        self._A = np.stack([c.displacement.ravel() for c in reference.changes], axis=1)
+        self._B, self._P = reference.columns, reference.covariance
+        self._N = station_columns(o.of(o.scene.p_observed) + o.y)
+        # a change that matters has to be seen at its size; another at the largest size at which it does not matter yet
+        limit = MATTERS * reference.tolerance
+        most = np.array([np.linalg.norm(c.displacement, axis=1).max() for c in reference.changes])
+        self._wanted = np.maximum(limit / most, 1.0)
+        self._known: dict[bytes, Array] = {}
+
+    def of(self, times: IntArray) -> Array:
+        """Information at the sizes of `changes`, (changes,)."""
+        key = times.tobytes()
+        if key not in self._known:
+            rows = np.concatenate([self._rows[i] for i in np.flatnonzero(times)])
+            often = np.concatenate([np.full(len(self._rows[i]), times[i]) for i in np.flatnonzero(times)])
+            at = (3 * rows[:, None] + np.arange(3)).ravel()
+            B, A = self._B[at], self._A[at]
+            # visits of one pose share what the calibration leaves open, not their noise
+            noise = self._noise[np.ix_(rows, rows)] / np.sqrt(np.outer(often, often))
+            covariance = np.kron(noise, np.eye(3)) + B @ self._P @ B.T
+            self._known[key] = np.einsum("ij,ij->j", A, weighted(covariance, self._N[at], A))
+        return self._known[key]
+
+    def worth(self, times: IntArray) -> float:
+        """Sum over the changes of how well they are seen, 1 where well enough; what is small counts first at its own size."""
+        i = self.of(times) / SEEN_WELL**2
+        return float(np.minimum(i * self._wanted**2, 1.0).sum() + 0.5 * np.minimum(i, 1.0).sum() + 1e-3 * np.log1p(i).sum())

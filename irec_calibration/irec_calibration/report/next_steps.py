@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to do next, in words and as a command that can be copied: at the end of every command and at the top of every page."""
+
+from __future__ import annotations
+
+import shlex
+import textwrap
+from collections.abc import Sequence
+
+from ..diagnose.improve import Ladder
+from ..diagnose.result import Diagnosis, Measurement
+from ..lengths import length
+
+Step = tuple[str, str]  # sentence, command or ""
+WIDTH = 100
+DEGREES = 57.29577951308232
+
+
+def after_diagnosis(d: Diagnosis, session: str, model: str = "") -> list[Step]:
+    """What follows from a diagnosis.
+
+    Args:
+        session, model: paths as the user typed them; no model: one has to be identified first.
+    """
+    v = d.verdict
+    s = shlex.quote(session)
+    steps: list[Step] = []
+    if v.status == "missing_effect":
+        start = model
+        if not model:
+            start = "model.yaml"
+            steps.append(("Identify the model that was diagnosed:", _solve(d, s)))
+        name = start
+        for i, effect in enumerate(v.effects):
+            new = "model2.yaml" if len(v.effects) == 1 else f"model{i + 2}.yaml"
+            steps.append(
+                (
+                    f"Add {effect}, refit, and see whether the data support it:",
+                    f"irec add {shlex.quote(name)} {effect} {s} -o {new}",
+                )
+            )
+            name = new
+        steps.append(("Or let irec add what the evidence justifies:", f"irec improve {s} -o improved"))
+    elif v.status == "unexplained":
+        on = f" It depends on {', '.join(v.depends_on[:3])}: try a formula in them." if v.depends_on else ""
+        steps.append(
+            (
+                f"Look at the residual and try effects by hand.{on}",
+                f"irec workbench {s}" + (f" {shlex.quote(model)}" if model else ""),
+            )
+        )
+        proposals = getattr(d, "proposals", ()) or ()
+        for p in list(proposals)[:1]:
+            formula = p["formula"] if isinstance(p, dict) else getattr(p, "formula", "")
+            if formula:
+                steps.append(
+                    (
+                        "Or begin with the best proposal:",
+                        f"irec add {shlex.quote(model or 'model.yaml')} {shlex.quote(formula)} {s} -o model2.yaml",
+                    )
+                )
+    elif model:
+        steps.append(
+            (
+                "Nothing is to be added. See what the model predicts where it will be used:",
+                f"irec predict {shlex.quote(model)} {s}",
+            )
+        )
+    else:
+        steps.append(("Nothing is to be added. Identify the model and use it:", _solve(d, s)))
+    if d.next_measurements and v.status != "adequate":
+        steps.append((where_to_measure(d.next_measurements[0]), ""))
+    return steps
+
+
+def _solve(d: Diagnosis, session: str) -> str:
+    effects = ",".join(d.model.effects)
+    terms = (
+        "" if effects in ("joint_torsion,link_bending", "station_pose,marker_position,geometry_error") else f" --terms {effects}"
+    )
+    return f"irec solve {session}{terms} -o model.yaml"
+
+
+def after_improvement(ladder: Ladder, session: str, model: str) -> list[Step]:
+    """What follows from an improvement; `model` is the file that was written."""
+    s, m = shlex.quote(session), shlex.quote(model)
+    if len(ladder.rungs) < 2:
+        return [("No effect was added. See why:", f"irec diagnose {s}")]
+    return [
+        ("Compare the new model with a session that it was not made from:", f"irec compare {m} OTHER_SESSION"),
+        ("Look at what is left:", f"irec diagnose {s} --model {m}"),
+    ]
+
+
+def where_to_measure(m: Measurement) -> str:
+    """A proposed measurement in a sentence; joint angles in degrees."""
+    at = f"pose {m.pose}" if m.pose else "a new pose at joints " + ", ".join(f"{DEGREES * x:.0f}" for x in m.q) + " deg"
+    return f"Measure next: {at}, load case {m.load_case}: it separates {' and '.join(m.separates)} by {length(m.difference_m)}."
+
+
+def in_lines(steps: Sequence[Step]) -> str:
+    """Steps for a terminal."""
+    lines = []
+    for text, command in steps:
+        begin = "next: " if command else ""  # what has no command says itself what to do
+        lines.append(textwrap.fill(begin + text, WIDTH, subsequent_indent="      "))
+        lines += [f"      {command}"] if command else []
+    return "\n".join(lines)

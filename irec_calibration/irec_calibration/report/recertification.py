@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the certificate of a recertification says, from its outcome and the store."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..recertification.flow import Outcome
+from ..recertification.readings import MANNED
+from ..recertification.request import Place
+from ..recertification.store import Store
+from ..recertification.trend import trend
+from .certificate import Certificate
+
+MEASURED = ("force sensor", "tracker", "temperature")
+
+
+def certificate_of(outcome: Outcome, place: Place, store: Store, operator: str) -> Certificate:
+    """The certificate: what was done, before and after, tolerance, uncertainty, trend."""
+    today = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M")
+    now = store.in_force_entry()
+    return Certificate(
+        title="Elastic calibration of a robot: recertification",
+        subtitle=f"Cell {place.cell}, robot {place.serial}, {today}",
+        verdict=_title(outcome),
+        text=outcome.text,
+        operator=operator,
+        rows=[
+            ("Tolerance of the process", f"{_mm(place.tolerance)}"),
+            ("Calibration in force", "none" if now is None else f"{now.calibration}, since {now.at[:10]}, by {now.by}"),
+            *_quick_rows(outcome),
+            *_full_rows(outcome, place.tolerance),
+            *_before_rows(outcome),
+        ],
+        points=trend(store),
+    )
+
+
+def _mm(length: float) -> str:
+    return f"{1e3 * length:.3f} mm" if length < 0.1e-3 else f"{1e3 * length:.2f} mm"
+
+
+def _before_rows(outcome: Outcome) -> list[tuple[str, str]]:
+    """What was looked at before anything moved: names of what held, values of what was measured."""
+    if not outcome.preconditions:
+        return []
+    measured = [f"{p.name}: {p.text}" for p in outcome.preconditions if p.name in MEASURED]
+    others = ", ".join(p.name for p in outcome.preconditions if p.name not in MEASURED and p.name not in MANNED)
+    people = ", ".join(p.name for p in outcome.preconditions if p.name in MANNED)
+    return [
+        ("Looked at before anything moved", f"{others}: all as they have to be. {'. '.join(measured)}"),
+        ("Looked at by the operator", people),
+    ]
+
+
+def _title(outcome: Outcome) -> str:
+    verdict, _, what = outcome.verdict.partition(": ")
+    return {"pass": "PASS", "recalibrated": "RECALIBRATED"}.get(verdict, f"{verdict.upper()}: {what}")
+
+
+def _quick_rows(outcome: Outcome) -> list[tuple[str, str]]:
+    q, p = outcome.quick, outcome.quick_plan
+    if q is None or p is None:
+        return []
+    words = {"pass": "passed", "changed": "the robot has changed", "undecided": "not decided"}[q.decision]
+    odds = f"{q.e_value:.2g}" if q.e_value < 1e4 else "more than 10000"
+    rows = [("Quick check", f"{words}, after {q.poses} visits; odds that the robot has changed {odds} to 1 (alarm at 50 to 1)")]
+    if q.like:
+        rows.append(("It looks like", " or ".join(q.words[n] for n in q.like[:3])))
+    if q.decision == "pass":
+        seen = "; ".join(_grouped(p.seen)) or "nothing"
+        rows.append(("Would have been found", f"{seen} (each missed with a probability of 5 % at the most)"))
+        if p.never:
+            rows.append(("No load case of this cell shows", "; ".join(p.never)))
+    return rows
+
+
+def _grouped(changes: Sequence[str]) -> list[str]:
+    """`axis 1: 10 % softer`, `axis 2: 10 % softer` as `axis 1, 2: 10 % softer`; the rest as it is."""
+    groups: dict[str, list[str]] = {}
+    for change in changes:
+        part, _, what = change.partition(": ")
+        groups.setdefault(what, []).append(part)
+    out = []
+    for what, parts in groups.items():
+        names = [parts[0], *(p.removeprefix("axis ") for p in parts[1:])]
+        out.append(f"{', '.join(names)}: {what}")
+    return out
+
+
+def _full_rows(outcome: Outcome, tolerance: float) -> list[tuple[str, str]]:
+    j = outcome.judgement
+    if j is None:
+        return []
+    um = 1e6
+    rows = [
+        ("Full procedure", f"{j.model.figures.get('poses', '?')} poses; {len(j.held_out)} of them were kept apart to judge"),
+        ("Error of the former calibration", _error(j.rms_old, tolerance)),
+        ("Error of the new calibration", f"{_error(j.rms_new, tolerance)}, on the poses kept apart"),
+        ("What is asked of it", "; ".join(f"{c.text}: {'met' if c.holds else 'NOT met'}" for c in j.criteria)),
+        ("What it describes", ", ".join(f"{t.effect.label} ({t.effect.id})" for t in j.model.terms)),
+    ]
+    torsion = [t for t in j.model.terms if t.effect.id == "joint_torsion"]
+    known = [
+        f"axis {n.rpartition('_')[2]}: {um * e.value:.2f} +- {2 * um * e.se:.2f}"
+        for t in torsion
+        for n, e in t.estimates.items()
+        if e.identified and np.isfinite(e.se)
+    ]
+    if known:
+        rows.append(("How far single axes give way", f"{'; '.join(known)} urad for each N m (+- 2 standard errors)"))
+    if j.missing.status == "missing_effect":
+        rows.append(("Diagnosis, for an engineer", j.missing.text))
+    if outcome.calibration:
+        rows.append(("Stored as", outcome.calibration + (", now in force" if outcome.activated else ", not in force")))
+    return rows
+
+
+def _error(rms: float, tolerance: float) -> str:
+    return f"{_mm(rms)}, {100 * rms / tolerance:.0f} % of the tolerance" if np.isfinite(rms) else "there was none"

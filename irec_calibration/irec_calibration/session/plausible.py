@@ -1,0 +1,345 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a session can be what it says, before anything is identified from it: units, signs, columns and frames.
+
+Each doubt names the value, the limit and, where one alteration would mend it, which. A missing effect or a bad row is no doubt:
+limits are far from what real robots do, and medians are judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from ..errors import ImplausibleSession, RobotError
+from ..typing import Array, IntArray
+from .data import Session
+from .registration import registered
+
+TCP_M = 0.01  # m; controllers and descriptions differ by a calibrated tool and links, not more
+MARKER_M = 0.3  # m; only differences count in a loaded session, so that a station's pose need not be known well
+MISFIT = 0.05  # of the spread of the points: an absolute session that is registered as well as can be
+FORCE_RATIO = 5.0  # between nominal and measured force of a load case
+COMPLIANCE_RATIO = 60.0  # between the deflection measured and that of drives which twist as drives do
+ALONG_FORCE = 0.1  # work of the force over what it would be if each deflection lay along it
+RESIDUAL = 0.6  # of the deflection, beside a linear spring fitted to the session
+WITHIN_POSE = 0.05  # rad or m; joints between a reference and its load cases
+LARGEST_FORCE, LARGEST_ARM = 1e5, 5.0  # N; m, torque over force
+NOISE_M = 2e-3  # m; a tracker that is worse is none
+FORCE_NOISE = 0.3  # of the force
+GRAVITY = (9.0, 10.5)
+TEMPERATURE = (-40.0, 120.0)
+FAR_M = 80.0  # m; range of a tracker
+ABOVE_NOISE = 5.0  # of the deflection over what is stated as noise, for its sign and size to be judged
+FEW = 50  # rows that tell which alteration would mend it
+BEST_OF_OTHERS = 0.2  # an alteration that brings a misfit below this share of it is named
+
+
+def check_plausible(session: Session) -> None:
+    """Raises ImplausibleSession where a session can't be what it says; all reasons in its message."""
+    found = doubts(session)
+    if found:
+        where = session.path or session.name
+        raise ImplausibleSession(f"{where}: " + "; ".join(found), found)
+
+
+def doubts(session: Session) -> tuple[str, ...]:
+    """What speaks against a session, most basic first; empty where nothing does."""
+    found = list(_stated(session))
+    if session.kind == "loaded":
+        found += _tcp(session) or _markers(session)
+        found += _forces(session)
+        if not found:
+            found += _deflection(session)
+    else:
+        if session.has_tcp:
+            found += _tcp(session)
+        found += _registration(session)
+    return tuple(found)
+
+
+def _stated(session: Session) -> Iterator[str]:
+    """Header and columns by themselves."""
+    n = session.noise
+    for name, value in (("tracker_m", n.tracker_m), ("settling_m", n.settling_m), ("robot_m", n.robot_m)):
+        if value > NOISE_M * (5.0 if name == "robot_m" else 1.0):
+            yield f"noise: {name} is {value:g} m, more than {NOISE_M:g} m is no such instrument (mm or um for m?)"
+    if n.tracker_m_per_m > 1e-3:
+        yield f"noise: tracker_m_per_m is {n.tracker_m_per_m:g}, more than 0.001 is no tracker (um/m for m/m?)"
+    g = float(np.linalg.norm(session.gravity_in_base))
+    if session.gravity_in_base != (0.0, 0.0, 0.0) and not GRAVITY[0] < g < GRAVITY[1]:
+        yield f"gravity is {g:g} m/s^2, {GRAVITY[0]} .. {GRAVITY[1]} is expected"
+    if session.payload is not None and session.payload.mass > 5000.0:
+        yield f"payload: mass is {session.payload.mass:g} kg, more than 5000 kg (g for kg?)"
+    for name, values in session.temperature.items():
+        middle = float(np.nanmedian(values)) if np.isfinite(values).any() else 20.0
+        if not TEMPERATURE[0] < middle < TEMPERATURE[1]:
+            yield f"temp_{name} is {middle:g} degC (median), {TEMPERATURE[0]:g} .. {TEMPERATURE[1]:g} is expected (K or F?)"
+    for name, values in session.ext.items():
+        size = float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else 0.0
+        if size > FAR_M:
+            yield f"ext_{name} reaches {size:g}, more than {FAR_M:g} m or rad (mm or degrees?)"
+    seen = session.p_marker_in_station[session.marker_seen]
+    if len(seen):
+        far = float(np.median(np.linalg.norm(seen, axis=1)))
+        if far > FAR_M:
+            yield f"markers are {far:.4g} m from their station (median), a tracker reaches {FAR_M:g} m (mm for m?)"
+        if len(seen) > 3 and float(np.ptp(seen, axis=0).max()) == 0.0:
+            yield "the marker is at the very same place in every row: the tracker's reading did not change"
+
+
+def _tcp(session: Session) -> list[str]:
+    """TCP columns against forward kinematics of the joint columns."""
+    q, tcp = session.q, session.p_tcp_in_base
+    rows = _some(len(q))
+    off = _apart(session, q, rows)
+    if off <= TCP_M:
+        return []
+    hint = _mended(off, {name: _apart(session, changed, rows) for name, changed in _altered_joints(q)})
+    if not hint:
+        believed = session.robot.kinematics(q).p_tcp[rows]
+        others = {what: _median_norm(believed - tcp[rows] * f) for f, what in ((1e-3, "tcp_* in mm"), (1e3, "tcp_* in km"))}
+        hint = _mended(off, others)
+    return [
+        f"tcp_* is {off:.4g} m (median) from the forward kinematics of joint_*, at most {TCP_M} m is expected{hint}; check joint "
+        "columns, units and robot description"
+    ]
+
+
+def _apart(session: Session, q: Array, rows: IntArray) -> float:
+    try:
+        return _median_norm(session.robot.kinematics(q[rows]).p_tcp - session.p_tcp_in_base[rows])
+    except RobotError:
+        return np.inf
+
+
+def _altered_joints(q: Array) -> Iterator[tuple[str, Array]]:
+    """Joint columns as they would be without one mistake, with its name."""
+    k = q.shape[1]
+    yield "joint_* in degrees", np.deg2rad(q)
+    yield "joint_* all of the other sign", -q
+    for i, j in combinations(range(k), 2):
+        changed = q.copy()
+        changed[:, [i, j]] = q[:, [j, i]]
+        yield f"joint_{i + 1} and joint_{j + 1} exchanged", changed
+    for i in range(k):
+        for name, column in (
+            ("of the other sign", -q[:, i]), ("in degrees", np.deg2rad(q[:, i])), ("off by +90 deg", q[:, i] - np.pi / 2),
+            ("off by -90 deg", q[:, i] + np.pi / 2), ("off by 180 deg", q[:, i] - np.pi),
+        ):  # fmt: skip
+            changed = q.copy()
+            changed[:, i] = column
+            yield f"joint_{i + 1} {name}", changed
+
+
+def _mended(misfit: float, others: dict[str, float]) -> str:
+    best = min(others, key=lambda k: others[k])
+    return f"; it would fit with {best}" if others[best] < BEST_OF_OTHERS * misfit else ""
+
+
+def _markers(session: Session) -> list[str]:
+    """Marker columns of a loaded session, whose stations and markers are known, against the controller's."""
+    seen = session.marker_seen
+    if not seen.any():
+        return []
+    believed = _believed(session)[seen]
+    p = session.p_marker_in_station[seen]
+    along = np.zeros_like(p)  # base_link rides on prismatic axes, whether the stations do or not
+    for axis in session.ext_axes:
+        if axis.kind == "prismatic" and axis.name in session.ext:
+            along += np.nan_to_num(session.ext[axis.name][seen, None]) * np.array(axis.axis)
+    R = np.stack([s.R_in_base for s in session.stations])[session.station[seen]]
+    t = np.array([s.xyz for s in session.stations])[session.station[seen]]
+
+    def off(v: Array, R: Array = R, t: Array = t) -> float:
+        difference = np.einsum("nij,nj->ni", R, v) + t - believed
+        return min(_median_norm(difference - sign * along) for sign in (0.0, 1.0, -1.0))
+
+    misfit = off(p)
+    if misfit <= MARKER_M:
+        return []
+    others = {
+        "marker_* in mm": off(p * 1e-3), "a station's pose the other way round": off(p, np.swapaxes(R, 1, 2), t),
+        "a station's pose as base in station": off(p, np.swapaxes(R, 1, 2), -np.einsum("nji,nj->ni", R, t)),
+        "marker_* in base_link": off(p, np.broadcast_to(np.eye(3), R.shape), 0 * t),
+    }  # fmt: skip
+    for i, j in combinations(range(3), 2):
+        order = [0, 1, 2]
+        order[i], order[j] = j, i
+        others[f"marker_{'xyz'[i]} and marker_{'xyz'[j]} exchanged"] = off(p[:, order])
+    return [
+        f"marker_* is {misfit:.4g} m (median) from where the controller has it, at most {MARKER_M} m is expected"
+        f"{_mended(misfit, others)}; check units, the stations' poses and marker_in_tool0"
+    ]
+
+
+def _believed(session: Session) -> Array:
+    """Where the controller believes the marker, (n, 3), m."""
+    kin = session.robot.kinematics(session.q)
+    xyz = np.array([m.xyz for m in session.markers])[session.marker]
+    on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker]
+    return np.where(on_tool[:, None], session.p_tcp_in_base + np.einsum("nij,nj->ni", kin.R_tool, xyz), xyz)
+
+
+def _forces(session: Session) -> Iterator[str]:
+    """Size and direction of the force against what the load cases say, and what a contact can do."""
+    loaded = session.load_case != 0
+    force = session.force_in_tool[loaded]
+    size = np.linalg.norm(force, axis=1)
+    middle = float(np.median(size))
+    if middle == 0.0:
+        yield "the force is 0 in most loaded rows: nothing loads the robot (column not recorded?)"
+        return
+    if middle > LARGEST_FORCE:
+        yield f"the force is {middle:.4g} N (median of loaded rows), more than {LARGEST_FORCE:g} N (mN for N?)"
+    if session.noise.force_n > FORCE_NOISE * middle:
+        yield (
+            f"noise: force_n is {session.noise.force_n:g} N where the force is {middle:.4g} N (median of loaded rows): more than "
+            f"{FORCE_NOISE:g} of it (kN for N?)"
+        )
+    cases = session.load_case[loaded]
+    nominal = {c: np.array(f) for c, f in session.load_cases.items() if np.linalg.norm(f) > 0.0 and (cases == c).any()}
+    if nominal:
+        ratio = float(np.median([np.median(size[cases == c]) / np.linalg.norm(f) for c, f in nominal.items()]))
+        if not 1.0 / FORCE_RATIO < ratio < FORCE_RATIO:
+            unit = " (kN for N?)" if 3e-4 < ratio < 3e-3 else " (N for kN?)" if 300.0 < ratio < 3000.0 else ""
+            yield f"force_* is {ratio:.3g} times what load_cases says, {1 / FORCE_RATIO:g} .. {FORCE_RATIO:g} is expected{unit}"
+        cosine = [
+            float(np.median(force[cases == c] @ f / np.maximum(size[cases == c] * np.linalg.norm(f), 1e-12)))
+            for c, f in nominal.items()
+        ]
+        if np.median(cosine) < 0.5:
+            what = "the sign is turned" if np.median(cosine) < -0.5 else "axes or frame are others"
+            yield (
+                f"force_* does not point as load_cases says (cosine {np.median(cosine):.2f}, at least 0.5 is expected): {what}; "
+                "it is the force of the environment on the robot, in tool0"
+            )
+    if session.has_torque:
+        arm = float(np.median(np.linalg.norm(session.torque_in_tool[loaded], axis=1) / np.maximum(size, 1e-9)))
+        if arm > LARGEST_ARM:
+            yield f"torque_* over force_* is {arm:.4g} m (median), more than {LARGEST_ARM:g} m (N mm for N m?)"
+
+
+def _deflection(session: Session) -> Iterator[str]:
+    """The deflection against the force: along it, of the size that drives give, and mostly proportional to it."""
+    reference = session.reference_row()
+    seen = session.marker_seen
+    rows = np.flatnonzero((session.load_case != 0) & seen & seen[reference])
+    if len(rows) < 3:
+        return
+    within = np.median(np.abs(session.q[rows] - session.q[reference[rows]]).max(axis=1))
+    if within > WITHIN_POSE:
+        yield (
+            f"joints differ by {within:.3g} rad or m (median) between a reference and its load cases, at most {WITHIN_POSE} is "
+            "expected: do the rows of a pose belong together?"
+        )
+        return
+    R = np.stack([s.R_in_base for s in session.stations])[session.station]
+    in_base = np.einsum("nij,nj->ni", R, session.p_marker_in_station)
+    believed = _believed(session)
+    moved = (in_base - believed)[rows] - (in_base - believed)[reference[rows]]
+    kin = session.robot.kinematics(session.q)
+    change = session.force_in_tool[rows] - session.force_in_tool[reference[rows]]
+    force = np.einsum("nij,nj->ni", kin.R_tool[rows], change)
+    size = float(np.median(np.linalg.norm(moved, axis=1)))
+    floor = float(np.sqrt(6.0)) * session.noise.tracker_m
+    if size < ABOVE_NOISE * floor:
+        return
+    work = np.einsum("ni,ni->n", force, moved)
+    most = np.linalg.norm(force, axis=1) * np.linalg.norm(moved, axis=1)
+    along = float(np.median(work / np.maximum(most, 1e-30)))
+    if along < ALONG_FORCE:
+        what = "sign of force_* or marker_* turned" if along < -ALONG_FORCE else "axes or frame of force_* or of the station?"
+        yield (
+            f"the robot gives way by {along:.2f} of its deflection along the force (median cosine), at least {ALONG_FORCE:g} is "
+            f"expected of springs: {what}"
+        )
+    J = kin.jacobian(session.p_tcp_in_base)[rows]
+    springs = np.einsum("nik,nk->ni", J, np.einsum("nik,ni->nk", J, force) * _typical(session))
+    expected = float(np.median(np.linalg.norm(springs, axis=1)))
+    ratio = size / max(expected, 1e-30)
+    if expected > 0.0 and not 1.0 / COMPLIANCE_RATIO < ratio < COMPLIANCE_RATIO:
+        yield (
+            f"the deflection is {1e3 * size:.4g} mm (median), {ratio:.3g} times what drives of these ratings would give under "
+            f"this force; {1 / COMPLIANCE_RATIO:.2g} .. {COMPLIANCE_RATIO:g} is expected: units of force_* or marker_*?"
+        )
+    left = _beside_springs(session, rows, reference, moved, force)
+    if left > RESIDUAL:
+        yield (
+            f"{100 * left:.0f} % of the deflection are no answer of springs to this force (at most {100 * RESIDUAL:.0f} % is "
+            "expected): load cases, axes of force_* or poses mixed up?"
+        )
+
+
+def _typical(session: Session) -> Array:
+    """Order of magnitude of each joint's compliance, rad/(N m): drives twist by about a milliradian at their rated torque."""
+    effort = np.asarray(session.robot.effort, dtype=float)
+    known = np.isfinite(effort) & (effort > 0.0)
+    fallback = float(np.median(effort[known])) if known.any() else 1000.0
+    return 1e-3 / np.where(known, effort, fallback)
+
+
+def _beside_springs(session: Session, rows: IntArray, reference: IntArray, moved: Array, force: Array) -> float:
+    """Share of the deflection (median norm) beside springs about every axis and across it."""
+    kin = session.robot.kinematics(session.q)
+    believed, tcp = _believed(session), session.p_tcp_in_base
+    at_marker = np.concatenate([kin.jacobian(believed), kin.virtual_jacobian(believed)], axis=2)
+    at_tcp = np.concatenate([kin.jacobian(tcp), kin.virtual_jacobian(tcp)], axis=2)
+    A = at_marker[rows] * np.einsum("nik,ni->nk", at_tcp[rows], force)[:, None, :]
+    flat, b = A.reshape(-1, A.shape[2]), moved.ravel()
+    if len(b) < 2 * flat.shape[1]:
+        return 0.0
+    weight = np.ones(len(rows))
+    r = moved
+    for _ in range(10):  # least absolute deviations: bad rows are not what is asked here
+        w = np.repeat(np.sqrt(weight), 3)
+        x = np.linalg.lstsq(flat * w[:, None], b * w, rcond=1e-8)[0]
+        r = moved - A @ x
+        norm = np.linalg.norm(r, axis=1)
+        weight = 1.0 / np.maximum(norm, 0.1 * max(float(np.median(norm)), 1e-30))
+    return float(np.median(np.linalg.norm(r, axis=1)) / max(float(np.median(np.linalg.norm(moved, axis=1))), 1e-30))
+
+
+def _registration(session: Session) -> list[str]:
+    """An absolute session against the robot description, stations and markers placed as well as can be."""
+    rows = np.flatnonzero(session.marker_seen)
+    if len(rows) < 12:
+        return []
+    some = session.select(rows[_some(len(rows))])
+    misfit, spread = _misfit(some, some.q)
+    if misfit <= MISFIT * spread:
+        return []
+    few = some.select(_some(len(some), FEW))
+    others = {name: _misfit(few, q)[0] for name, q in _altered_joints(few.q)}
+    others["marker_* in mm"] = _misfit(few, few.q, 1e-3)[0]
+    return [
+        f"marker_* is {misfit:.4g} m (median) from the robot description, wherever stations and markers are; at most "
+        f"{100 * MISFIT:.0f} % of the {spread:.3g} m that the points spread over is expected{_mended(misfit, others)}; check "
+        "joint columns, units and robot description"
+    ]
+
+
+def _misfit(session: Session, q: Array, factor: float = 1.0) -> tuple[float, float]:
+    """Median distance of the points from the robot description after registration, and their spread, m."""
+    try:
+        kin = session.robot.kinematics(q)
+    except RobotError:
+        return np.inf, 1.0
+    p = session.p_marker_in_station * factor
+    placed = replace(session, q=q, p_tcp_in_base=kin.p_tcp, p_marker_in_station=p)
+    found = registered(placed, kin)
+    R = np.stack([s.R_in_base for s in found.stations])[found.station]
+    t = np.array([s.xyz for s in found.stations])[found.station]
+    off = np.einsum("nij,nj->ni", R, p) + t - _believed(found)
+    spread = float(np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)))
+    return _median_norm(off), max(spread, 1e-9)
+
+
+def _some(n: int, most: int = 400) -> IntArray:
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
+
+
+def _median_norm(v: Array) -> float:
+    return float(np.median(np.linalg.norm(v, axis=1)))

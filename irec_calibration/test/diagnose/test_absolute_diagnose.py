@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnosis of absolute sessions starts from the geometric model and tells what is missing beyond it."""
+
+from __future__ import annotations
+
+import numpy as np
+from absolute_sessions import session, torsion
+from irec_calibration.diagnose import compare, diagnose
+from irec_calibration.identification.identify import default_terms, identify
+from irec_calibration.identification.provenance import model_of
+from irec_calibration.session import Noise
+
+NOISE = Noise(tracker_m=1.5e-5)
+
+
+def test_a_robot_with_geometric_errors_only_is_explained_by_the_geometric_model():
+    found = diagnose(session(poses=80, noise=NOISE))
+    assert found.verdict.status == "adequate"
+
+
+def test_missing_joint_torsion_is_named():
+    c = np.array([0.0, 8e-6, 1.2e-5, 0.0, 0.0, 0.0])
+    found = diagnose(session(poses=80, noise=NOISE, moved=torsion(c)))
+    assert found.verdict.status == "missing_effect"
+    assert found.verdict.effects[0] == "joint_torsion"
+
+
+def test_a_model_is_compared_with_another_session_of_the_robot_whose_station_stands_elsewhere():
+    model = model_of(identify(session(noise=NOISE), default_terms(session(poses=5))))
+    other = session(poses=30, seed=9, noise=NOISE)
+    result = compare(other, model.terms)
+    assert result.rms_m < 1.5 * result.noise_floor_m

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a diagnosis is built of, each piece by itself: steps that last, shapes found again, remainders grown from products."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import start_terms
+from irec_calibration.diagnose.evidence import Ground
+from irec_calibration.diagnose.family import family_of
+from irec_calibration.diagnose.forms import forms_of
+from irec_calibration.diagnose.held_out import held_out, only_good_poses
+from irec_calibration.diagnose.lasting import lasts
+from irec_calibration.diagnose.remainder import grow
+from irec_calibration.diagnose.shape import reshaped
+from irec_calibration.diagnose.study import Study, prepare, study_of
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.scene import Scene
+from irec_calibration.identification.validation import gain
+from irec_calibration.model import Estimate, Term
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+STEP = np.array([2e-4, -1e-4, 1e-4])
+HIT = 8  # pose at which something happens, between its reference and its load cases
+MOMENT = 4.0 * 6 * (HIT - 1) + 2.0  # s; rows are 4 s apart
+
+
+def station_is_bumped(scene: Scene) -> Array:
+    return (scene.stamp > MOMENT)[:, None] * STEP
+
+
+def reference_is_knocked(scene: Scene) -> Array:
+    return ((scene.pose == HIT) & (scene.load_case == 0))[:, None] * -STEP
+
+
+def reflector_is_seated_anew(scene: Scene) -> Array:
+    return (scene.stamp > MOMENT)[:, None] * (scene.kin.R_tool @ STEP)
+
+
+def play_of_axis_4(scene: Scene) -> Array:
+    angle = np.zeros_like(scene.tau)
+    angle[:, 3] = 2e-4 * np.tanh((scene.tau[:, 3] + scene.tau_gravity[:, 3]) / 4.0)
+    return np.einsum("nik,nk->ni", scene.kin.jacobian(scene.p_observed), angle)
+
+
+@cache
+def study(hidden: Callable[[Scene], Array] | None = None) -> Study:
+    measured = synthetic.session(poses=20, seed=5, extra=hidden)
+    return prepare(measured, start_terms(measured))
+
+
+def shift(size: Array) -> Term:
+    values = dict(zip(("d_x", "d_y", "d_z"), size, strict=True)) | {"t_shift": MOMENT}
+    return Term(find_effect("station_shift"), {n: Estimate(float(v)) for n, v in values.items()})
+
+
+def test_a_bumped_station_shows_in_all_later_readings() -> None:
+    assert lasts(study(station_is_bumped), shift(STEP)) > 6.5
+
+
+@pytest.mark.parametrize("accident", [reference_is_knocked, reflector_is_seated_anew])
+def test_a_knocked_reference_or_reflector_is_no_bumped_station(accident: Callable[[Scene], Array]) -> None:
+    found = study(accident)
+    moved = STEP
+    if accident is reflector_is_seated_anew:
+        moved = found.ready.kin.R_tool[np.flatnonzero(found.ready.pose == HIT)[0]] @ STEP
+    assert lasts(found, shift(moved)) < 0.0
+
+
+def test_a_step_in_the_last_pose_is_not_known_to_last() -> None:
+    late = Term(find_effect("station_shift"), shift(STEP).estimates | {"t_shift": Estimate(4.0 * 6 * 19 + 2.0)})
+    assert lasts(study(), late) == 0.0
+
+
+def test_a_shape_is_found_again_where_it_was_wrong() -> None:
+    plain = study(play_of_axis_4)
+    wrong = Term(find_effect("joint_backlash"), {"b_4": Estimate(1e-4, lower=0.0), "w": Estimate(0.03, lower=1e-4, upper=0.03)})
+    before = study_of(plain.observation, (*plain.terms, wrong))
+    after = reshaped(before, ("joint_backlash",))
+    width = after.terms[-1].estimates["w"].value
+    assert width < 0.02
+    assert after.bench.posterior(after.base).log_evidence > before.bench.posterior(before.base).log_evidence
+
+
+def test_a_remainder_from_known_products_is_the_same_as_one_from_all_equations() -> None:
+    found = study(play_of_axis_4)
+    family = family_of(found)
+    rest = grow(found.bench, family, found.base)
+    assert rest.structures
+    ground = Ground(found.bench, rest.block)
+    gains, _ = family.gains(ground)
+    odds = gains - np.log([s.tried for s in family.structures])
+    odds[[s in [p.structure for p in rest.parts] for s in family.structures]] = -np.inf
+    assert odds.max() < 3.0
+    assert ground.chi2 == pytest.approx(found.bench.posterior(rest.block).chi2, rel=1e-9)
+
+
+def test_a_drift_is_a_form_of_thermal_drift_and_of_nothing_else() -> None:
+    found = study()
+    drifts = [s for s in family_of(found).structures if s.is_drift]
+    assert drifts
+    assert all(forms_of(Term(find_effect("thermal_drift")), found.ready).has(s) for s in drifts)
+    assert not any(forms_of(Term(find_effect("creep")), found.ready).has(s) for s in drifts)
+
+
+def test_a_bad_pose_has_no_say_in_whether_a_model_helps_on_held_out_poses() -> None:
+    found = study(reference_is_knocked)
+    before = held_out(found)
+    after = replace(before, loss=np.where(before.poses == HIT, 40.0, 0.5) * before.loss)
+    assert gain(before, after)[0] < 0.0
+    rest = grow(found.bench, family_of(found), found.base)
+    assert rest.bad_rows
+    assert gain(*(only_good_poses(h, found, rest) for h in (before, after)))[0] > 0.0

@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnosis on sessions whose hidden cause is written out here, in forms that differ from the catalogue's."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import absolute_sessions
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import Diagnosis, add_effect, diagnose, improve, remove_effect, start_terms
+from irec_calibration.diagnose.evidence import Block
+from irec_calibration.diagnose.held_out import held_out
+from irec_calibration.diagnose.study import Study, prepare
+from irec_calibration.diagnose.tool_weight import reference_readings
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.scene import Scene, scene_of
+from irec_calibration.errors import Cancelled, EffectError, ModelError
+from irec_calibration.identification.identify import identify
+from irec_calibration.identification.provenance import model_of
+from irec_calibration.model import EIGHTEEN_DOF, Model, blank_model
+from irec_calibration.model.file import load_model, save_model
+from irec_calibration.session import Noise, Session
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+POSES = 20
+
+
+def turned(scene: Scene, angle: Array) -> Array:
+    """Displacement of the marker when the joints turn by (n, k) rad."""
+    return np.einsum("nik,nk->ni", scene.kin.jacobian(scene.p_observed), angle)
+
+
+def play_of_axis_4(scene: Scene) -> Array:
+    angle = np.zeros_like(scene.tau)
+    angle[:, 3] = 2e-4 * np.clip((scene.tau[:, 3] + scene.tau_gravity[:, 3]) / 5.0, -1.0, 1.0)
+    return turned(scene, angle)
+
+
+def piecewise_gear_of_axis_3(scene: Scene) -> Array:
+    def wound(torque: Array) -> Array:
+        return 4e-7 * np.clip(torque, -900.0, 900.0)
+
+    angle = np.zeros_like(scene.tau)
+    angle[:, 2] = wound(scene.tau[:, 2] + scene.tau_gravity[:, 2]) - wound(scene.tau_gravity[:, 2])
+    return turned(scene, angle)
+
+
+def softer_as_time_passes(scene: Scene) -> Array:
+    angle = np.zeros_like(scene.tau)
+    angle[:, 1] = 1.2e-7 * scene.tau[:, 1] * (scene.stamp / scene.stamp.max() - 0.5)
+    return turned(scene, angle)
+
+
+def bumped_station(scene: Scene) -> Array:
+    return (scene.stamp > 150.0)[:, None] * np.array([2e-4, -1e-4, 1e-4])
+
+
+@cache
+def session(hidden: Callable[[Scene], Array] | None = None, seed: int = 5) -> Session:
+    return synthetic.session(poses=POSES, seed=seed, extra=hidden)
+
+
+def claiming(measured: Session, times: float) -> Session:
+    """The same measurements with all noise stated larger by a factor."""
+    n = measured.noise
+    stated = replace(
+        n,
+        tracker_m=times * n.tracker_m,
+        tracker_m_per_m=times * n.tracker_m_per_m,
+        force_n=times * n.force_n,
+        settling_m=times * n.settling_m,
+    )
+    return replace(measured, noise=stated)
+
+
+@cache
+def diagnosis(hidden: Callable[[Scene], Array] | None = None) -> Diagnosis:
+    return diagnose(session(hidden))
+
+
+@cache
+def study() -> Study:
+    return prepare(session(play_of_axis_4), start_terms(session()))
+
+
+@cache
+def model() -> Model:
+    return model_of(identify(session(play_of_axis_4), blank_model(EIGHTEEN_DOF)))
+
+
+def test_a_session_that_the_model_explains_is_adequate() -> None:
+    assert diagnosis().verdict.status == "adequate"
+
+
+@pytest.mark.parametrize(
+    ("hidden", "effect", "part"),
+    [(play_of_axis_4, "joint_backlash", ("axis 4",)), (bumped_station, "station_shift", ())],
+)
+def test_a_missing_effect_is_named(hidden: Callable[[Scene], Array], effect: str, part: tuple[str, ...]) -> None:
+    found = diagnosis(hidden)
+    assert found.verdict.effects == (effect,), found.verdict.text
+    assert found.candidates[0].groups == part
+
+
+@pytest.mark.slow
+def test_a_gear_that_stops_winding_up_is_stiffening() -> None:
+    verdict = diagnosis(piecewise_gear_of_axis_3).verdict
+    assert verdict.effects == ("joint_stiffening",), verdict.text
+
+
+def test_a_cause_outside_the_catalogue_is_unexplained_and_its_variable_is_named() -> None:
+    verdict = diagnosis(softer_as_time_passes).verdict
+    assert verdict.status == "unexplained", verdict.text
+    assert "stamp" in verdict.depends_on
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [0.5, 2.0])
+def test_noise_that_is_stated_wrongly_changes_no_verdict_and_is_said(times: float) -> None:
+    for hidden, status in ((None, "adequate"), (play_of_axis_4, "missing_effect")):
+        found = diagnose(claiming(session(hidden), times))
+        assert (found.verdict.status, found.verdict.effects) == (status, diagnosis(hidden).verdict.effects), found.verdict.text
+        assert found.noise is not None
+        assert found.noise.low_m < found.noise.claimed_m / times < 1.1 * found.noise.high_m
+        assert "times too" in found.verdict.text
+
+
+def test_one_row_that_is_plainly_wrong_is_listed_and_is_no_cause() -> None:
+    clean = session()
+    marker = clean.p_marker_in_station.copy()
+    marker[40] += [1e-3, -5e-4, 0.0]
+    verdict = diagnose(replace(clean, p_marker_in_station=marker)).verdict
+    assert verdict.status == "adequate", verdict.text
+    assert f"pose {clean.pose[40]}" in verdict.text
+
+
+@pytest.mark.slow
+def test_two_causes_are_named_together() -> None:
+    def both(scene: Scene) -> Array:
+        return play_of_axis_4(scene) + piecewise_gear_of_axis_3(scene)
+
+    found = improve(synthetic.session(poses=POSES, seed=5, extra=both))
+    assert set(found.before.verdict.effects) == {"joint_backlash", "joint_stiffening"}
+    assert set(found.model.effects) == {*EIGHTEEN_DOF, "joint_backlash", "joint_stiffening"}
+
+
+def test_the_result_file_tells_noise_evidence_and_thresholds() -> None:
+    data = diagnosis(softer_as_time_passes).to_json()
+    told = {"claimed_m", "inferred_m", "inferred_low_m", "inferred_high_m", "source", "dof"}
+    assert set(data["noise"]) == told | {"wander_share", "wander_time_s"}
+    assert "held_out_structure" in data["verdict"]["evidence"]
+    assert data["verdict"]["remaining_m"] > 0.0
+    assert all({"value", "unit", "meaning", "derived"} <= set(s) for s in data["settings"].values())
+
+
+def test_the_named_effect_brings_the_held_out_error_near_the_noise() -> None:
+    found = diagnosis(play_of_axis_4)
+    assert found.cv_rms_m > 2.0 * found.comparison.noise_floor_m
+    assert found.candidates[0].cv_rms_m < 1.25 * found.comparison.noise_floor_m
+
+
+def test_candidates_carry_values_with_standard_errors() -> None:
+    value = diagnosis(play_of_axis_4).candidates[0].parameters["b_4"]
+    assert abs(value["value"] - 4e-4) < 4.0 * value["se"] + 2e-5  # lost motion from side to side
+    assert value["unit"] == "rad"
+
+
+@pytest.mark.parametrize("hidden", [None, play_of_axis_4, softer_as_time_passes])
+def test_the_result_file_holds_no_nan(hidden: Callable[[Scene], Array] | None) -> None:
+    json.dumps(diagnosis(hidden).to_json(), allow_nan=False)
+
+
+def test_a_wrong_tool_weight_shows_in_the_reference_readings() -> None:
+    clean = session()
+    scene = scene_of(clean)
+    weight = np.einsum("nji,j->ni", scene.kin.R_tool, [0.0, 0.0, -9.81 * 3.0])
+    readings = reference_readings(scene_of(replace(clean, force_in_tool=clean.force_in_tool + weight)), 1.0)
+    assert readings is not None
+    assert readings.log_evidence > 50.0
+    assert readings.mass == pytest.approx(3.0, abs=5.0 * readings.mass_se)
+
+
+def test_a_constant_bias_of_the_force_sensor_is_not_called_a_tool_weight() -> None:
+    clean = session()
+    readings = reference_readings(scene_of(replace(clean, force_in_tool=clean.force_in_tool + [0.0, 8.0, -3.0])), 1.0)
+    assert readings is not None
+    assert readings.log_evidence < 5.0
+
+
+@pytest.mark.parametrize("poses", [1, 2])
+def test_a_session_of_few_poses_says_so_and_names_nothing(poses: int) -> None:
+    found = diagnose(session(play_of_axis_4).select_poses(list(range(1, poses + 1))))
+    assert found.verdict.effects == ()
+    assert "Measure more poses" in found.verdict.text
+    json.dumps(found.to_json(), allow_nan=False)
+
+
+@pytest.mark.slow
+def test_missing_temperatures_and_a_constant_clock_are_skipped_with_a_reason() -> None:
+    few = session(play_of_axis_4).select_poses(list(range(1, 9)))
+    odd = replace(few, stamp=np.zeros(len(few)), temperature={"gear_1": np.full(len(few), np.nan)})
+    found = diagnose(odd)
+    assert "thermal_drift" in found.skipped
+    json.dumps(found.to_json(), allow_nan=False)
+
+
+def test_a_cancelled_diagnosis_stops() -> None:
+    with pytest.raises(Cancelled):
+        diagnose(session(), cancelled=lambda: True)
+
+
+def test_held_out_residuals_equal_a_refit_without_the_pose() -> None:
+    s = study()
+    pose = int(s.bench.poses[3])
+    out = s.bench.pose == pose
+    rest = type(s.bench)(s.bench.b[~out], s.bench.pose[~out])
+    x = rest.posterior(Block(s.base.A[~out], s.base.lower, s.base.upper, s.base.width)).x
+    np.testing.assert_allclose(s.bench.held_out(s.base)[out], s.bench.b[out] - s.base.A[out] @ x, atol=1e-5)
+
+
+def test_evidence_punishes_columns_that_only_fit_noise() -> None:
+    s = study()
+    rng = np.random.default_rng(0)
+    free = np.full(20, np.inf)
+    idle = Block(rng.normal(size=(len(s.bench.b), 20)), -free, free, np.ones(20))
+    assert s.bench.posterior(s.base + idle).log_evidence < s.bench.posterior(s.base).log_evidence - 10.0
+
+
+def test_improve_adds_what_is_missing_and_stops() -> None:
+    ladder = improve(session(play_of_axis_4))
+    assert [r.added for r in ladder.rungs] == ["", "joint_backlash"]
+    assert ladder.rungs[-1].cv_rms_m < 0.7 * ladder.rungs[0].cv_rms_m
+    assert [h["change"] for h in ladder.model.history] == ["start", "added joint_backlash"]
+
+
+def test_a_model_with_a_part_of_an_effect_survives_its_file_and_a_refit(tmp_path) -> None:
+    new, _, _ = add_effect(model(), find_effect("joint_backlash"), session(play_of_axis_4))
+    again = load_model(save_model(new, tmp_path / "m.yaml"))
+    assert tuple(again.terms[-1].estimates) == ("b_4", "w")
+    assert held_out(prepare(session(play_of_axis_4), again.terms)).rms_m == pytest.approx(new.figures["cv_rms_m"], rel=1e-3)
+
+
+def test_removing_an_effect_brings_the_error_back() -> None:
+    new, _, after = add_effect(model(), find_effect("joint_backlash"), session(play_of_axis_4))
+    plain, without = remove_effect(new, "joint_backlash", session(play_of_axis_4))
+    assert plain.effects == EIGHTEEN_DOF
+    assert held_out(without).rms_m > 1.5 * held_out(after).rms_m
+
+
+def test_effects_that_the_model_has_or_the_session_cannot_show_are_refused() -> None:
+    with pytest.raises(ModelError, match="already"):
+        add_effect(model(), find_effect("link_bending"), session(play_of_axis_4))
+    with pytest.raises(EffectError, match="no external axis"):
+        add_effect(model(), find_effect("rail_compliance"), session(play_of_axis_4))
+
+
+def test_next_measurements_part_the_rivals() -> None:
+    planned = diagnosis(play_of_axis_4).next_measurements
+    assert planned and planned[0].difference_m > 0.0
+    assert all(a.gain >= b.gain for a, b in zip(planned, planned[1:], strict=False))
+
+
+def test_an_absolute_session_that_the_geometric_model_explains_is_adequate() -> None:
+    quiet = absolute_sessions.session(poses=60, noise=Noise(tracker_m=2e-5))
+    assert diagnose(quiet).verdict.status == "adequate"

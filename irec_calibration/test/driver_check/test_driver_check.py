@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A driver that keeps the contract passes; each of many wrong ones fails, with the sentence that says what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from irec_calibration.cell import read_cell
+from irec_calibration.driver_check.moving import Moves, _sensor_in_tool, judge_moves
+from irec_calibration.driver_check.observed import Answer, Item, Observation, Stream, report
+from irec_calibration.driver_check.offset import Offsets, judge_offset
+from irec_calibration.driver_check.passive import judge_passive
+from irec_calibration.driver_check.pressing import Pressing, judge_pressing
+from irec_calibration.procedure.axes import read_axes
+from scipy.spatial.transform import Rotation
+
+CELL = read_cell(Path(__file__).parents[3] / "config" / "cells" / "afp.yaml")
+AXES = read_axes(CELL)
+STATION = CELL.stations[0]
+SENSOR = _sensor_in_tool(CELL)
+MASS, BIAS = 12.0, np.array([18.0, -11.0, 25.0])
+
+
+def stream(t: np.ndarray, value: np.ndarray, frame: str = "", names: tuple[str, ...] = ()) -> Stream:
+    return Stream(t, t + 0.002, value, (frame,) * len(t), names)
+
+
+def observe(q_of: Callable[[np.ndarray], np.ndarray], begin: float, seconds: float, rail: float = 0.1) -> Observation:
+    """Readings of a true driver whose robot follows q_of (n,) -> (n, 6)."""
+    rng = np.random.default_rng(3)
+    slow, fast, state = (begin + np.arange(1, int(seconds * rate) + 1) / rate for rate in (100.0, 250.0, 10.0))
+    q = q_of(slow)
+    at = CELL.robot.kinematics(q)
+    ride = CELL.base_in_cell(np.array([rail]))[0]
+    marker = at.p_tcp + at.R_tool @ CELL.marker_in_tool + ride
+    point = (marker - STATION.p_in_cell) @ STATION.R_in_cell + rng.normal(0.0, 1e-5, marker.shape)
+    R = CELL.robot.kinematics(q_of(fast)).R_tool
+    weight = np.einsum("nji,j->ni", R @ SENSOR, [0.0, 0.0, -9.81 * MASS])
+    noise = rng.normal(0.0, 1.0, (len(fast), 6))
+    moving = float(np.abs(q_of(slow[-1:]) - q_of(slow[:1])).max() > 1e-4)
+    return Observation(
+        {
+            "joint_states": stream(slow, np.c_[q, np.full(len(slow), rail)], "", AXES.driver),
+            "tcp_pose": stream(slow, np.c_[at.p_tcp, Rotation.from_matrix(at.R_tool).as_quat()], "base_link"),
+            "wrench": stream(fast, noise, "tool0"),
+            "wrench_raw": stream(fast, noise + np.c_[weight + BIAS, np.zeros((len(fast), 3))], "ft_sensor"),
+            "tracker/point": stream(slow, point, STATION.name),
+            "robot/state": stream(state, np.tile([0.0, moving, 0, 0, 0, 0, 0], (len(state), 1)), "base_link"),
+        },
+        CELL.robot.urdf_text,
+    )
+
+
+def standing() -> Observation:
+    return observe(lambda t: np.tile(CELL.home, (len(t), 1)), 10.0, 2.0)
+
+
+def failures(items: list[Item]) -> str:
+    return report([item for item in items if not item.passed])
+
+
+def test_a_true_driver_passes_the_passive_level() -> None:
+    items = judge_passive(standing(), CELL, AXES)
+    assert not failures(items) and len(items) > 40
+
+
+def change(topic: str, **changed: object) -> Callable[[Observation], None]:
+    """A fault of one stream; a callable is applied to what is there."""
+
+    def apply(o: Observation) -> None:
+        s = o.streams[topic]
+        o.streams[topic] = replace(s, **{k: v(getattr(s, k)) if callable(v) else v for k, v in changed.items()})  # type: ignore[arg-type]
+
+    return apply
+
+
+def framed(frame: str) -> Callable[[tuple[str, ...]], tuple[str, ...]]:
+    return lambda frames: (frame,) * len(frames)
+
+
+def in_degrees(value: np.ndarray) -> np.ndarray:
+    return np.c_[np.degrees(value[:, :6]), value[:, 6:]]
+
+
+def nowhere(o: Observation) -> None:
+    o.description = ""
+
+
+PASSIVE: dict[str, tuple[Callable[[Observation], None], str]] = {
+    "wrench in base_link": (change("wrench", frame=framed("base_link")), "frame of wrench: 'base_link' (limit tool0)"),
+    "tcp_pose in world": (change("tcp_pose", frame=framed("world")), "frame of tcp_pose: 'world' (limit base_link)"),
+    "joint angles in degrees": (change("joint_states", value=in_degrees), "joint_states are in degrees, radians are needed"),
+    "joints of other names": (change("joint_states", names=tuple("abcdefg")),
+        "state the driver's names in the cell file (robot.joint_names)"),
+    "robot/state silent": (lambda o: o.streams.pop("robot/state") and None, "robot/state is there: no message"),
+    "tracker silent": (lambda o: o.streams.pop("tracker/point") and None, "tracker/point is there: no message"),
+    "tcp_pose missing": (lambda o: o.streams.pop("tcp_pose") and None, "tcp_pose is there: no message"),
+    "stamps of 0": (change("joint_states", stamp=lambda t: 0.0 * t), "stamps of joint_states: 200 of 200 are 0"),
+    "stamps of another clock": (change("tracker/point", stamp=lambda t: t - 37.0),
+        "stamps of tracker/point against the clock: 37002 ms"),
+    "readings sent twice": (change("wrench", stamp=lambda t: np.floor(t * 100.0) / 100.0), "do not resend a reading"),
+    "tcp_pose in mm": (change("tcp_pose", value=lambda v: np.c_[1e3 * v[:, :3], v[:, 3:]]), "tcp_pose is in mm, m is needed"),
+    "tcp_pose of the flange": (change("tcp_pose", value=lambda v: v + [0, 0, 0.2, 0, 0, 0, 0]),
+        "tcp_pose against the joint angles: 200.000 mm"),
+    "marker in mm": (change("tracker/point", value=lambda v: 1e3 * v), "tracker/point is in mm, m is needed"),
+    "held points": (change("tracker/point", value=lambda v: np.tile(v[0], (len(v), 1))), "no repeated, held or zero points"),
+    "another station": (change("tracker/point", frame=framed("leica")), "frame of tracker/point: 'leica' (limit A)"),
+    "weight in wrench": (change("wrench", value=lambda v: v + [0, 0, -118.0, 0, 0, 0]),
+        "remove tool weight and bias from wrench"),
+    "no numbers": (change("wrench", value=lambda v: np.where(np.arange(len(v))[:, None] == 7, np.nan, v)),
+        "numbers of wrench: NaN or Inf"),
+    "too slow": (change("wrench", stamp=lambda t: t[0] + 5.0 * (t - t[0]), arrival=lambda t: t[0] + 5.0 * (t - t[0])),
+        "rate of wrench: 50.0 Hz"),
+    "best effort": (change("tcp_pose", reliable=False), "QoS of tcp_pose: best effort"),
+    "no description": (nowhere, "publish the URDF on robot_description"),
+    "in fault": (change("robot/state", value=lambda v: v + [2, 0, 0, 0, 0, 0, 0]), "mode of the standing robot: fault"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", PASSIVE)
+def test_a_wrong_driver_fails_the_passive_level_with_the_right_sentence(wrong: str) -> None:
+    o = standing()
+    fault, sentence = PASSIVE[wrong]
+    fault(o)
+    assert sentence in failures(judge_passive(o, CELL, AXES))
+
+
+# --- moves --------------------------------------------------------------------------------------------------------------
+
+TURNS = np.array([[0, 0], [0.25, 0], [-0.25, 0], [0, 0.25], [0, -0.25], [0.2, 0.2]])
+
+
+def moves() -> Moves:
+    stood = []
+    for k, (a, b) in enumerate(TURNS):
+        q = CELL.home + [0.02 * k, -0.02 * k, 0.0, 0.0, a, b]
+        stood.append(observe(lambda t, q=q: np.tile(q, (len(t), 1)), 20.0 + k, 0.5))  # type: ignore[misc]
+    way = observe(lambda t: CELL.home + np.outer(t - 30.0, [0.1, 0.05, 0.0, 0.0, 0.0, 0.0]), 30.0, 1.0)
+    tcp = way.streams["tcp_pose"].value
+    line = np.array([tcp[0, :3], tcp[-1, :3]])
+    refused = {"a pose out of reach": Answer(False, "out of reach", 0.1)}
+    ok = Answer(True, "", 1.0)
+    return Moves(
+        stood, way, line, [(line[1], line[1] + 1e-5)], [ok], Answer(False, "", 0.4, True), line.mean(axis=0), refused, 0.0
+    )
+
+
+def test_a_true_driver_passes_the_moves() -> None:
+    items = judge_moves(moves(), CELL, AXES)
+    assert not failures(items) and len(items) >= 12
+
+
+def everywhere(topic: str, **changed: object) -> Callable[[Moves], Moves]:
+    def apply(m: Moves) -> Moves:
+        m = deepcopy(m)
+        for o in (*m.standing, m.way):
+            change(topic, **changed)(o)
+        return m
+
+    return apply
+
+
+MOVES: dict[str, tuple[Callable[[Moves], Moves], str]] = {
+    "tracker with a clock of its own": (everywhere("tracker/point", stamp=lambda t: t + 0.1),
+        "stamps of tracker/point against tcp_pose: 1"),
+    "commanded angles": (everywhere("joint_states", stamp=lambda t: t - 0.1), "tcp_pose against the joint angles while moving"),
+    "held marker": (everywhere("tracker/point", value=lambda v: np.tile([3.0, 0.0, 0.0], (len(v), 1))),
+        "does the tracker hold a point"),
+    "turned station": (everywhere("tracker/point", value=lambda v: v[:, [1, 2, 0]]),
+        "station of the tracker against the cell file: 120.00 deg"),
+    "weight in wrench": (everywhere("wrench", value=lambda v: v + 60.0), "remove the tool's weight from wrench"),
+    "raw sensor with the sign turned": (everywhere("wrench_raw", value=lambda v: -v), "a tool that hangs pulls down"),
+    "cancel ignored": (lambda m: replace(m, cancelled=Answer(True, "", 1.2)), "a cancelled move answers canceled: not canceled"),
+    "cancel leaves the path": (lambda m: replace(m, p_cancelled=m.p_cancelled + [0, 0, 0.01]),
+        "a cancelled move stays on its path"),
+    "refuses nothing": (lambda m: replace(m, refused={"a pose out of reach": Answer(True, "", 2.0)}),
+        "refused: a pose out of reach: accepted"),
+    "arrives elsewhere": (lambda m: replace(m, arrived=[(m.line[1], m.line[1] + 0.002)]), "moves arrive where asked: 3.464 mm"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", MOVES)
+def test_a_wrong_driver_fails_the_moves_with_the_right_sentence(wrong: str) -> None:
+    fault, sentence = MOVES[wrong]
+    assert sentence in failures(judge_moves(fault(moves()), CELL, AXES))
+
+
+# --- pressing -----------------------------------------------------------------------------------------------------------
+
+
+def after_lease(lease: float = 0.5) -> Observation:
+    """From the last set point at 50 s on: held, ramp of 0.3 s, drawn back by 20 mm."""
+    t, slow = 50.0 + np.arange(1, 900) / 250.0, 50.0 + np.arange(1, 360) / 100.0
+    share = np.clip(1.0 - (t - 50.0 - lease) / 0.3, 0.0, 1.0)
+    back = 0.02 * np.clip((slow - 50.8 - lease) / 0.5, 0.0, 1.0)
+    expired = (slow > 50.0 + lease).astype(float)
+    state = np.c_[(slow < 50.3 + lease).astype(float), np.zeros((len(slow), 5)), expired]
+    tcp = np.c_[np.zeros((len(slow), 2)), -back, np.zeros((len(slow), 3)), np.ones(len(slow))]
+    wrench = np.c_[np.zeros((len(t), 2)), -200.0 * share, np.zeros((len(t), 3))]
+    return Observation({"wrench": stream(t, wrench, "tool0"), "tcp_pose": stream(slow, tcp), "robot/state": stream(slow, state)})
+
+
+def pressing() -> Pressing:
+    held = [(f, f + 1.0) for f in np.array([[0, 0, -200.0], [30.0, 0, -200.0], [0, -30.0, -200.0]])]
+    ok, no = Answer(True, "", 0.1), Answer(False, "moves are refused in force control", 0.1)
+    return Pressing(ok, ok, 0.05, 0.5, 0.02, held, 1e-6, no, after_lease(), np.eye(3), 50.0)
+
+
+def test_a_true_driver_passes_the_pressing() -> None:
+    items = judge_pressing(pressing())
+    assert not failures(items) and len(items) >= 12
+
+
+PRESSING: dict[str, tuple[Callable[[Pressing], Pressing], str]] = {
+    "sign of the force turned": (lambda p: replace(p, held=[(a, -b) for a, b in p.held]),
+        "the sign is turned: what the environment exerts on the robot"),
+    "x and y exchanged": (lambda p: replace(p, held=[(a, a[[1, 0, 2]]) for a, _ in p.held]),
+        "axes or signs are exchanged (x is y, y is x)"),
+    "kilonewtons": (lambda p: replace(p, held=[(a, 1e-3 * b) for a, b in p.held]), "it is in kN, N is needed"),
+    "set point ignored": (lambda p: replace(p, held=[(a, p.held[0][1]) for a, _ in p.held]),
+        "set point (30, 0, -200) N is held: 29.0 N off"),
+    "jump at the switch": (lambda p: replace(p, jump=2e-3), "position control freezes the robot: 2.000 mm"),
+    "moves in force control": (lambda p: replace(p, move=Answer(True, "", 1.0)), "moves are refused in force control: accepted"),
+    "answers before the mode is active": (lambda p: replace(p, state_late=2.0), "robot/state follows the switch: 2.00 s"),
+    "no dead man's switch": (lambda p: replace(p, lease=0.0), "give the driver a dead man's switch"),
+    "presses on": (lambda p: replace(p, after=after_lease(10.0)), "the force goes when no set point comes: inf s"),
+    "lets go too early": (lambda p: replace(p, after=after_lease(0.0)), "the force holds for the lease"),
+    "stays in contact": (lambda p: replace(p, retract=0.2), "the tool is drawn back: 20.0 mm"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", PRESSING)
+def test_a_wrong_driver_fails_the_pressing_with_the_right_sentence(wrong: str) -> None:
+    fault, sentence = PRESSING[wrong]
+    assert sentence in failures(judge_pressing(fault(pressing())))
+
+
+# --- offset -------------------------------------------------------------------------------------------------------------
+
+SMALL = np.array([6e-4, 0.0, 8e-4])
+
+
+def offsets(share: Callable[[np.ndarray], np.ndarray] | None = None, largest: float = 0.005, reported: float = 1.0) -> Offsets:
+    """Sent from 60 to 62 s; share of it that is applied at a time."""
+
+    def true(t: np.ndarray) -> np.ndarray:
+        return np.clip(np.minimum((t - 60.0) / 0.4, 1.0 - (t - 62.1) / 0.4), 0.0, 1.0)
+
+    share = share or true
+    state, slow = 59.5 + np.arange(1, 41) / 10.0, 59.5 + np.arange(1, 401) / 100.0
+
+    def seen(offset: np.ndarray) -> Observation:
+        told = np.c_[np.zeros((40, 2)), reported * share(state)[:, None] * offset, np.zeros((40, 2))]
+        went = np.c_[share(slow)[:, None] * offset, np.zeros((400, 3)), np.ones(400)]
+        return Observation({"robot/state": stream(state, told), "tcp_pose": stream(slow, went)})
+
+    return Offsets(SMALL, 60.0, 62.0, seen(SMALL), np.array([0, 0, 0.1]), seen(np.array([0, 0, largest])))
+
+
+def test_a_true_driver_passes_the_offset() -> None:
+    items = judge_offset(offsets())
+    assert not failures(items) and len(items) >= 7
+
+
+OFFSET: dict[str, tuple[Callable[[], Offsets], str]] = {
+    "offset ignored": (lambda: offsets(lambda t: 0.0 * t), "an offset is applied and reported: 0.800 mm off"),
+    "offset with the sign turned": (lambda: offsets(lambda t: -1.0 * ((t > 60.0) & (t < 62.4))),
+        "the TCP moves by it: moved by (-0.6"),
+    "no fade": (lambda: offsets(lambda t: 1.0 * (t > 60.0)), "it fades when none comes: inf s"),
+    "steps": (lambda: offsets(lambda t: 1.0 * ((t > 60.0) & (t < 62.5))), "nothing jumps: 1.000 mm"),
+    "no limit": (lambda: offsets(largest=0.1), "an offset beyond all limits is cut: 100.00 mm of 100 mm"),
+    "reports the wrong thing": (lambda: offsets(reported=0.0), "report it in robot/state"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", OFFSET)
+def test_a_wrong_driver_fails_the_offset_with_the_right_sentence(wrong: str) -> None:
+    fault, sentence = OFFSET[wrong]
+    assert sentence in failures(judge_offset(fault()))

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Typical magnitudes come from the robot, not from absolute constants."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.scales import WITHOUT_MASSES, rated_torque
+from irec_calibration.effects.scene import scene_of
+from irec_calibration.errors import ModelError
+from irec_calibration.model import Estimate, Model, Term
+from irec_calibration.robot import Robot
+from synthetic import EFFORT, session, urdf
+
+NO_EFFORT = re.sub(r'effort="\d+"', 'effort="0"', urdf())
+NO_MASSES = re.sub(r"<inertial>.*?</inertial>", "", NO_EFFORT)
+
+
+def test_the_rated_torque_is_that_of_the_description_where_it_gives_one():
+    np.testing.assert_array_equal(rated_torque(Robot(urdf())), EFFORT)
+
+
+def test_an_effort_of_zero_means_unknown_and_gravity_says_what_the_drives_must_carry():
+    guessed = rated_torque(Robot(NO_EFFORT))
+    assert np.all(guessed > 0.0) and np.all(guessed[:3] > 2.0 * np.asarray(EFFORT[:3]) / 10) and guessed[1] > 20.0 * guessed[5]
+    light = Robot(re.sub(r'mass value="([\d.]+)"', lambda m: f'mass value="{float(m[1]) / 100}"', NO_EFFORT))
+    np.testing.assert_allclose(rated_torque(light), guessed / 100, rtol=1e-9)
+
+
+def test_one_known_effort_is_kept_beside_unknown_ones():
+    mixed = Robot(urdf().replace('effort="1492"', 'effort="0"'))
+    assert rated_torque(mixed)[4] not in (0.0, 1000.0) and rated_torque(mixed)[3] == EFFORT[3]
+
+
+def test_without_efforts_and_masses_nothing_is_known():
+    np.testing.assert_array_equal(rated_torque(Robot(NO_MASSES)), np.full(6, WITHOUT_MASSES))
+
+
+def test_play_may_be_taken_up_over_a_range_of_torque():
+    scene = scene_of(session(4, seed=1))
+    backlash = find_effect("joint_backlash")
+    at_once, slowly = (backlash.displacement(scene, np.array([2e-4] * 6 + [w])) for w in (1e-3, 0.05))
+    size_at_once, size_slowly = (np.linalg.norm(u, axis=1) for u in (at_once, slowly))
+    assert np.all(size_slowly.max() < size_at_once.max()) and np.abs(at_once - slowly).max() > 1e-5
+
+
+def _hysteresis(scene, **values):
+    """Displacement by sliders of each kind at every axis, and values of the shape."""
+    hysteresis = find_effect("joint_hysteresis")
+    stated = {f"{n}_{k}": v for n, v in values.items() if n in ("h", "early", "late") for k in range(1, 7)} | values
+    theta = np.array([stated.get(p.name, p.start) for p in hysteresis.parameters(scene)])
+    return hysteresis.displacement(scene, theta)
+
+
+def test_sliders_of_an_axis_give_way_one_after_the_other():
+    scene = scene_of(session(4, seed=1))
+    load = np.linspace(0.0, 1.0, len(scene))[:, None] * [0.0, 0.0, -1100.0]
+    ramp = scene.with_wrench(load, np.zeros_like(load))
+    early, h, late = (_hysteresis(ramp, r=0.03, **{n: 1e-7}) for n in ("early", "h", "late"))
+    size = [np.linalg.norm(u, axis=1).max() for u in (early, h, late)]
+    assert size[0] < size[1] < size[2]
+    together = _hysteresis(ramp, r=0.03, h=1e-7 / 3, early=1e-7 / 3, late=1e-7 / 3)
+    np.testing.assert_allclose(together, _hysteresis(ramp, r=0.03, spread=1.0, h=1e-7), atol=1e-12)  # a model of before
+
+
+def test_motion_of_a_joint_frees_what_its_friction_holds():
+    scene = scene_of(session(4, seed=1))
+
+    def stepping(by):
+        return scene.at(replace(scene.arm, step=np.full_like(scene.step, by)), scene.p_observed, scene.tau_gravity)
+
+    moving, standing = stepping(0.01), stepping(0.0)
+    held, freed = (_hysteresis(moving, r=0.03, h=1e-7, freed=f) for f in (0.0, 100.0))
+    assert np.abs(held - freed).max() > 1e-7
+    held, freed = (_hysteresis(standing, r=0.03, h=1e-7, freed=f) for f in (0.0, 100.0))
+    np.testing.assert_allclose(held, freed, atol=1e-15)
+
+
+def test_the_softest_place_of_a_rail_is_where_it_says():
+    scene = scene_of(session(5, seed=1))
+    along = np.linspace(-1.0, 2.0, len(scene))
+    scene = replace(scene, ext={"rail": along})
+    rail = find_effect("rail_compliance")
+    theta = np.array([0.0 if p.name != "r_y_soft" else 1e-8 for p in rail.parameters(scene)])
+    theta[-2:] = 0.7, 0.3
+    size = np.linalg.norm(rail.displacement(scene, theta), axis=1)
+    near, far = np.abs(along - 0.7) < 0.2, np.abs(along - 0.7) > 1.2
+    assert size[near & (scene.load_case > 0)].min() > 1e3 * size[far].max()
+
+
+def test_a_model_of_an_earlier_form_is_refused_instead_of_misread():
+    with pytest.raises(ModelError, match="'t_x_s1' is of an earlier form.*identify the model again"):
+        Term(find_effect("rail_compliance"), {"t_x_s1": Estimate(1e-8)})
+
+
+def test_a_hose_fixed_at_a_point_pulls_towards_it():
+    scene = scene_of(session(5, seed=1), observe="tcp")
+    springs = Term(find_effect("tool_compliance"), {f"c_{a}": Estimate(1e-6) for a in "xyz"})
+    point, k = np.array([1.0, 0.5, 3.0]), 30.0
+    hose = {f"f_{a}": Estimate(float(k * x)) for a, x in zip("xyz", point, strict=True)} | {"k": Estimate(k)}
+    both = Model((springs, Term(find_effect("external_force"), hose))).predict(scene)
+    pulled = (both - Model((springs,)).predict(scene))[scene.load_case > 0]
+    # an isotropic spring at the tool gives way along the pull, which acts under load only
+    np.testing.assert_allclose(pulled, 1e-6 * k * (point - scene.p_tcp[scene.load_case > 0]), atol=1e-12)

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recertification whose caller or whose nodes are killed in the middle goes on after its last complete pose."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
+pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`")
+
+import rclpy
+from irec_calibration.cell import read_cell
+from irec_calibration.poses.plan import make_plan, pose_list
+from irec_calibration.poses.store import write_poses
+from irec_calibration.recertification.run_state import interrupted
+from irec_calibration.recertification.store import Store
+from irec_calibration.session import read_session
+from rclpy.action import ActionClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from irec_msgs.action import Recertify
+from irec_msgs.msg import ProcedureStatus, RobotState
+
+if TYPE_CHECKING:
+    Start = Callable[..., subprocess.Popen[bytes]]
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.long]
+CELL = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
+PATIENCE = 300.0  # s of the machine's clock
+SEEN = 1.5  # s in which the server of an action finds a client that has found it; before that its answers get lost
+POSES = 9
+CALLER = """
+import sys, rclpy
+from rclpy.action import ActionClient
+from irec_msgs.action import Recertify
+rclpy.init()
+node = rclpy.create_node("caller")
+client = ActionClient(node, Recertify, "irec/recertify")
+client.wait_for_server()
+goal = Recertify.Goal(operator_name="M", poses_path=sys.argv[1], full=True, dry_run=True, confirmed=["area", "disc", "tool"])
+client.send_goal_async(goal)
+rclpy.spin(node)
+"""
+
+
+def node(module: str, **parameters: object) -> list[str]:
+    settings = [text for name, value in parameters.items() for text in ("-p", f"{name}:={value}")]
+    return [sys.executable, "-m", module, "--ros-args", *settings]
+
+
+class Person:
+    """Looks at the procedure and the robot, and asks for runs."""
+
+    def __init__(self) -> None:
+        self.node = rclpy.create_node("person")
+        self.status = ProcedureStatus()
+        self.robot = RobotState()
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.node.create_subscription(ProcedureStatus, "irec/procedure/status", self._on_status, latched)
+        self.node.create_subscription(RobotState, "robot/state", self._on_robot, 10)
+        self.client: ActionClient | None = None
+
+    def _on_status(self, message: ProcedureStatus) -> None:
+        self.status = message
+
+    def _on_robot(self, message: RobotState) -> None:
+        self.robot = message
+
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            if time.monotonic() > end:
+                pytest.fail(f"not within {PATIENCE:.0f} s: {what}; procedure: {self.status.state} {self.status.message}")
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+    def presses(self, after: int = 0) -> int:
+        """Number of the pose, later than `after`, in which the robot presses now."""
+        self.until(lambda: self.status.pose > after and self.status.state == "establish", f"pressing after pose {after}")
+        return int(self.status.pose)
+
+    def stands_retracted(self) -> None:
+        self.status = ProcedureStatus(state="unknown")
+        self.until(lambda: self.status.state == "idle", "end of the procedure")
+        self.until(lambda: self.robot.mode == RobotState.MODE_POSITION and not self.robot.in_motion, "robot at rest")
+
+    def ask(self, **goal: Any) -> Any:
+        """Future of the result of a recertification."""
+        self.client = self.client or ActionClient(self.node, Recertify, "irec/recertify")
+        self.until(self.client.server_is_ready, "irec/recertify")
+        seen = time.monotonic() + SEEN
+        self.until(lambda: time.monotonic() > seen, "that the server has found this client")
+        asked = Recertify.Goal(operator_name="M", dry_run=True, confirmed=["area", "disc", "tool"], **goal)
+        sent = self.client.send_goal_async(asked)
+        self.until(sent.done, "the goal is accepted")
+        return sent.result().get_result_async()
+
+    def answer(self, future: Any) -> Any:
+        self.until(future.done, "an answer")
+        return future.result().result
+
+
+def kill(process: subprocess.Popen[bytes]) -> None:
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait(20)
+
+
+def test_a_run_goes_on_whoever_is_killed_in_its_middle(ros_domain: int, start_process: Start, tmp_path: Path) -> None:
+    cell = read_cell(CELL)
+    poses = write_poses(pose_list(cell, make_plan(cell, POSES, pool_size=60)), tmp_path / "poses.yaml")
+    store = Store(tmp_path / "cal", cell.serial)
+    calibration_node = node("irec_calibration.nodes.calibration_node", cell=CELL, calibration_folder=tmp_path / "cal")
+    procedure_node = node("irec_calibration.nodes.procedure_node", cell=CELL, session_folder=tmp_path, use_sim_time="true")
+    start_process(node("irec_sim.nodes.cell_node", cell=CELL, speed_factor=3.0, max_lead=0.1), name="cell")
+    procedure = start_process(procedure_node, name="procedure")
+    calibration = start_process(calibration_node, name="calibration")
+    rclpy.init()
+    person = Person()
+    try:
+        caller = start_process([sys.executable, "-c", CALLER, str(poses)], name="caller")
+        person.presses()
+        kill(caller)
+        person.stands_retracted()
+        person.until(
+            lambda: "whoever asked for it has gone" in (tmp_path / "calibration.log").read_text(), "the reason in the log"
+        )
+        assert "procedure" in interrupted(store)
+
+        person.ask(resume=True)
+        first = person.presses()
+        last = person.presses(after=first)
+        kill(calibration)
+        calibration = start_process(calibration_node, name="calibration_2")
+        person.stands_retracted()
+        assert "an interrupted run waits" in (tmp_path / "calibration_2.log").read_text()
+
+        future = person.ask(resume=True)
+        person.presses(after=last - 1)
+        kill(procedure)
+        lost = person.answer(future)
+        assert not lost.success and "Do this now" in lost.text and "resume" in lost.text, lost.text
+        procedure = start_process(procedure_node, name="procedure_2")
+        person.until(lambda: person.status.state == "idle", "the new procedure_node")
+
+        result = person.answer(person.ask(resume=True))
+        assert result.success and result.verdict.startswith(f"failed: {POSES} poses were measured"), result.verdict
+        session = read_session(result.session_path)
+        assert len(session) == 6 * POSES, "each pose once"
+        stamp = [session.stamp[session.pose == p] for p in range(1, POSES + 1)]
+        assert all(a.max() < b.min() for a, b in itertools.pairwise(stamp)), "complete poses were not measured again"
+        assert len(list((store.folder / "runs").iterdir())) == 1 and interrupted(store) == ""
+    finally:
+        person.node.destroy_node()
+        rclpy.shutdown()

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a driver can get wrong in one message is refused at the boundary and told with its value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from irec_calibration.cell import read_cell
+from irec_calibration.errors import CellError
+from irec_calibration.procedure.axes import read_axes
+from irec_calibration.procedure.inputs import Inputs
+from irec_calibration.procedure.standstill import Streams
+
+CELL = read_cell(Path(__file__).parents[3] / "config" / "cells" / "afp.yaml")
+AXES = read_axes(CELL)
+NOW = 100.0
+NO = (0.0, 0.0, 0.0)
+Q = (*CELL.home.tolist(), 0.1)
+UP = (0.0, 0.0, 0.0, 1.0)
+
+
+def inputs() -> Inputs:
+    return Inputs(Streams(5.0), AXES, ["A"])
+
+
+def feed(i: Inputs) -> None:
+    assert i.wrench(NOW, NOW, "tool0", (0.0, 0.0, -1100.0), (0.0, 0.0, 0.0))
+    assert i.joints(NOW, NOW, AXES.driver, Q)
+    assert i.tcp(NOW, NOW, "base_link", (1.9, 0.0, 1.1), UP)
+    assert i.marker(NOW, NOW, "A", (3.0, 0.0, 0.1))
+
+
+def test_good_readings_pass() -> None:
+    i = inputs()
+    feed(i)
+    assert not i.problem and set(i.streams.newest()) == {"force", "joints", "TCP", "marker"}
+
+
+WRONG: dict[str, tuple[Callable[[Inputs], bool], str]] = {
+    "frame of the wrench": (lambda i: i.wrench(NOW, NOW, "base_link", NO, NO), "wrench: header.frame_id is 'base_link'"),
+    "no number for a force": (lambda i: i.wrench(NOW, NOW, "tool0", (0, math.nan, 0), NO), "wrench: the force is (0, nan, 0)"),
+    "torque without end": (lambda i: i.wrench(NOW, NOW, "tool0", (0, 0, 0), (math.inf, 0, 0)), "the torque is (inf, 0, 0)"),
+    "force that can't be": (lambda i: i.wrench(NOW, NOW, "tool0", (0, 0, 1e9), NO), "more than 100000 N"),
+    "stamp 0": (lambda i: i.wrench(NOW, 0.0, "tool0", NO, NO), "wrench: the stamp is 0"),
+    "stamp of 1970": (lambda i: i.wrench(1.7e9, 12.0, "tool0", NO, NO), "behind the clock"),
+    "stamp of tomorrow": (lambda i: i.wrench(NOW, NOW + 86400.0, "tool0", NO, NO), "86400.0 s ahead of the clock"),
+    "world": (lambda i: i.tcp(NOW, NOW, "world", (1.9, 0, 1.1), UP), "tcp_pose: header.frame_id is 'world'"),
+    "TCP in mm": (lambda i: i.tcp(NOW, NOW, "base_link", (1900.0, 0, 1100.0), UP), "is it in mm?"),
+    "no orientation": (lambda i: i.tcp(NOW, NOW, "base_link", (1.9, 0, 1.1), (0, 0, 0, 0)), "a unit quaternion is needed"),
+    "station": (lambda i: i.marker(NOW, NOW, "tracker", (3.0, 0, 0)), "is 'tracker'; the stations of the cell file are 'A'"),
+    "marker in mm": (lambda i: i.marker(NOW, NOW, "A", (3000.0, 0, 0)), "(3000, 0, 0) m from the station; is it in mm?"),
+    "marker at zero": (lambda i: i.marker(NOW, NOW, "A", (0.0, 0.0, 0.0)), "while the line of sight is broken"),
+    "three positions": (lambda i: i.joints(NOW, NOW, AXES.driver, Q[:3]), "joint_states: 7 names with 3 positions"),
+    "degrees": (lambda i: i.joints(NOW, NOW, AXES.driver, [math.degrees(v) for v in Q]), "joint_2 is at -108.9 rad"),
+    "names": (lambda i: i.joints(NOW, NOW, [f"a{k}" for k in range(1, 8)], Q), "there is no 'joint_1' among 'a1', 'a2'"),
+    "no rail": (lambda i: i.joints(NOW, NOW, AXES.driver[:6], Q[:6]), "there is no 'ext_rail'"),
+    "joint that is no number": (lambda i: i.joints(NOW, NOW, AXES.driver, (math.nan, *Q[1:])), "finite numbers are needed"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_wrong_message_is_refused_and_told_with_its_value(wrong: str) -> None:
+    i = inputs()
+    call, message = WRONG[wrong]
+    assert not call(i)
+    assert message in i.problem
+    assert not i.streams.newest()
+
+
+def test_a_fault_stays_until_the_next_run() -> None:
+    i = inputs()
+    i.wrench(NOW, NOW, "tool0", (0, math.nan, 0), NO)
+    feed(i)
+    assert "nan" in i.problem
+    i.clear()
+    assert not i.problem
+
+
+def test_each_source_keeps_its_first_fault() -> None:
+    i = inputs()
+    i.wrench(NOW, NOW, "base_link", NO, NO)
+    i.wrench(NOW, 0.0, "tool0", NO, NO)
+    i.tcp(NOW, NOW, "world", (1, 0, 1), UP)
+    assert len(i.faults) == 2 and "base_link" in i.faults["wrench"]
+
+
+def test_a_stamp_that_stands_is_a_fault_and_a_single_repetition_is_left_out() -> None:
+    i = inputs()
+    feed(i)
+    assert not i.marker(NOW, NOW, "A", (3.0, 0.0, 0.1)) and not i.problem
+    for _ in range(20):
+        i.marker(NOW + 0.1, NOW, "A", (3.0, 0.0, 0.1))
+    assert "not newer than stamp 100.000 s" in i.problem
+
+
+def test_joints_come_in_any_order_and_with_others_beside_them() -> None:
+    i = inputs()
+    assert i.joints(NOW, NOW, ("gripper", *reversed(AXES.driver)), (7.0, *reversed(Q)))
+    assert i.streams.newest_joints is not None and tuple(i.streams.newest_joints) == Q
+    assert i.streams.names == AXES.recorded
+
+
+def test_a_cell_file_states_how_the_driver_names_the_joints(tmp_path: Path) -> None:
+    text = CELL.path.read_text().replace("../robots", str(CELL.path.parents[1] / "robots"))
+    named = text.replace("  serial:", "  joint_names: [a1, a2, a3, a4, a5, a6]\n  serial:")
+    named = named.replace("range: [-1.5, 1.5]}", "range: [-1.5, 1.5], joint_name: e1}")
+    (tmp_path / "cell.yaml").write_text(named)
+    axes = read_axes(read_cell(tmp_path / "cell.yaml"))
+    assert axes.driver == ("a1", "a2", "a3", "a4", "a5", "a6", "e1")
+    assert axes.recorded == (*(f"joint_{k}" for k in range(1, 7)), "ext_rail")
+    (tmp_path / "cell.yaml").write_text(named.replace("a1, a2", "a1"))
+    with pytest.raises(CellError, match="the description has 6 joints"):
+        read_cell(tmp_path / "cell.yaml")
+    (tmp_path / "cell.yaml").write_text(named.replace("joint_name: e1", "joint_name: a1"))
+    with pytest.raises(CellError, match="a name is there twice"):
+        read_axes(read_cell(tmp_path / "cell.yaml"))
+
+
+@given(
+    st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=9), st.lists(st.text(max_size=8), max_size=9),
+    st.floats(allow_nan=True, allow_infinity=True), st.text(max_size=8),
+)  # fmt: skip
+def test_nothing_that_can_be_sent_raises_or_passes_unnoticed(
+    values: list[float], names: list[str], stamp: float, frame: str
+) -> None:
+    i = inputs()
+    three, four = (values + [0.0] * 3)[:3], (values + [0.0] * 4)[:4]
+    i.joints(NOW, stamp, names, values)
+    i.tcp(NOW, stamp, frame, three, four)
+    i.marker(NOW, stamp, frame, three)
+    i.wrench(NOW, stamp, frame, three, three)
+    i.temperature(frame, stamp)
+    assert all(math.isfinite(t) for t in i.streams.newest().values())
+    assert i.streams.newest_force is None or all(math.isfinite(v) for v in i.streams.newest_force)
+
+
+def test_a_wrench_repeated_to_the_last_bit_is_refused_after_a_second_and_a_noisy_one_never() -> None:
+    i = inputs()
+    for k in range(500):
+        t = NOW + 0.004 * k
+        assert i.wrench(t, t, "tool0", (1e-9 * k, 0.0, -1100.0), NO)
+    for k in range(500, 700):
+        t = NOW + 0.004 * k
+        assert i.wrench(t, t, "tool0", (0.0, 0.0, -1100.0), NO)
+    for k in range(700, 800):
+        i.wrench(NOW + 0.004 * k, NOW + 0.004 * k, "tool0", (0.0, 0.0, -1100.0), NO)
+    assert "wrench: (0, 0, -1100, 0, 0, 0) is repeated to the last bit for 1.0 s" in i.problem
+
+
+def test_a_point_repeated_to_the_last_bit_is_refused_after_a_second() -> None:
+    i = inputs()
+    for k in range(120):
+        i.marker(NOW + 0.01 * k, NOW + 0.01 * k, "A", (3.0, 0.0, 0.1))
+    assert "tracker/point: (3, 0, 0.1) is repeated to the last bit" in i.problem
+
+
+def test_an_axis_that_moves_further_than_its_speed_allows_is_refused() -> None:
+    i = inputs()
+    assert i.joints(NOW, NOW, AXES.driver, Q)
+    assert not i.joints(NOW + 0.01, NOW + 0.01, AXES.driver, (*Q[:-1], Q[-1] + 0.3))
+    assert "ext_rail has moved from 0.1 to 0.4 m in 10 ms" in i.problem

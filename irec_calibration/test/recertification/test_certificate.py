@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The certificate is one page, in two forms, and says what the outcome says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from irec_calibration.commands import history
+from irec_calibration.errors import IrecError
+from irec_calibration.recertification.flow import Outcome, recertify
+from irec_calibration.recertification.request import Request
+from irec_calibration.recertification.store import Store
+from irec_calibration.report.certificate import write_certificate
+from irec_calibration.report.recertification import certificate_of
+from recertification_cell import FakeCell, place, pose_file
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Store]:
+    folder = tmp_path_factory.mktemp("store")
+    store = Store(folder, "S-1")
+    request = Request("M. <Muster>", str(pose_file(folder / "poses.yaml", 14)))
+    recertify(place(), store, request, FakeCell())
+    return recertify(place(), store, Request(request.operator, request.poses_path, full=True), FakeCell(seed=50)), store
+
+
+def test_html_and_pdf_say_verdict_operator_and_error(done: tuple[Outcome, Store], tmp_path: Path) -> None:
+    outcome, store = done
+    page, pdf = write_certificate(certificate_of(outcome, place(), store, "M. <Muster>"), tmp_path)
+    text = page.read_text()
+    assert "PASS" in text and f"{1e3 * outcome.judgement.rms_new:.3f} mm" in text  # type: ignore[union-attr]
+    assert "M. &lt;Muster&gt;" in text and "<Muster>" not in text
+    assert "WO2016151360" in text and "no safety-rated function" in text
+    assert "http" not in text, "nothing is loaded from anywhere"
+    width, height = re.findall(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", pdf.read_bytes())[0]
+    assert (float(width), float(height)) == pytest.approx((595.3, 841.9), abs=0.5), "A4 in points, with its margins"
+    assert pdf.read_bytes().startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
+
+
+def test_the_certificate_of_a_passed_check_says_what_would_have_been_found(done: tuple[Outcome, Store]) -> None:
+    request = Request("M", str(done[1].folder.parent / "poses.yaml"), check_only=True)
+    outcome = recertify(place(), done[1], request, FakeCell(seed=70))
+    assert outcome.verdict == "pass", outcome.text
+    rows = dict(certificate_of(outcome, place(), done[1], "M").rows)
+    assert "10 % softer" in rows["Would have been found"] and "5 %" in rows["Would have been found"]
+    assert "axis 1, 2" in rows["Would have been found"], "axes of one size stand together"
+    assert "play" in rows["No load case of this cell shows"]
+
+
+def test_the_history_of_a_cell_lists_every_event(
+    done: tuple[Outcome, Store], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import argparse
+
+    _, store = done
+    cell = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
+    text = cell.read_text().replace("../robots", str(cell.parents[1] / "robots")).replace("KR120-0001", "S-1")
+    (tmp_path / "cell.yaml").write_text(text)
+    parser = argparse.ArgumentParser()
+    history.configure(parser)
+    arguments = [str(tmp_path / "cell.yaml"), "--folder", str(store.folder.parent), "-o", str(tmp_path / "trend.png")]
+    assert history.run(parser.parse_args(arguments)) == 0
+    out = capsys.readouterr().out
+    assert out.count("added") == 2 and "put in force" in out and "in force" in out.splitlines()[-3]
+    assert (tmp_path / "trend.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_history_of_nothing_is_refused_in_one_line() -> None:
+    import argparse
+
+    with pytest.raises(IrecError, match="name a cell file or a model"):
+        history.run(argparse.Namespace(what="/nowhere", folder="x", output=None, json=False))

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What comes in by topics, checked and passed on to the chain: wrench, joint states, robot description."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import JointState
+
+from ..correction import Correction
+from ..orientations import Orientations
+from .chain_clock import ChainClock
+
+
+class CorrectionInputs:
+    """Messages into one chain."""
+
+    def __init__(
+        self, correction: Correction, names: Sequence[str], clock: ChainClock, rail_joint: str,
+        orientations: Orientations | None = None,
+    ) -> None:  # fmt: skip
+        """names: of the robot's joints in joint_states, from base to tool; rail_joint: of the rail there."""
+        self._correction, self._clock, self._orientations = correction, clock, orientations
+        self._wanted, self._rail_joint = tuple(names), rail_joint
+        self._names: list[str] = []
+        self._columns: list[int] = []
+        self._rail: int | None = None
+
+    def take_wrench(self, message: WrenchStamped) -> float:
+        """One reading; the time of the chain, s."""
+        f, t = message.wrench.force, message.wrench.torque
+        stamp = self._clock.of(message.header.stamp)
+        now = self._clock.now(stamp)
+        reading = np.array([f.x, f.y, f.z, t.x, t.y, t.z])
+        self._correction.take_wrench(stamp, now, message.header.frame_id, reading)
+        if self._orientations is not None and np.all(np.isfinite(reading)):
+            self._orientations.take_wrench(stamp, reading)
+        return now
+
+    def take_joints(self, message: JointState) -> None:
+        """Joint angles by name; a message without any joint of the robot is somebody else's."""
+        if message.name != self._names:
+            self._learn(list(message.name))
+        if not self._columns:
+            return
+        # names without a position are missing joints, and the watchdog says how many came
+        given = len(message.position)
+        q = np.array([message.position[i] for i in self._columns if i < given], dtype=float)
+        stamp = self._clock.of(message.header.stamp)
+        rail = message.position[self._rail] if self._rail is not None and self._rail < given else 0.0
+        self._correction.take_joints(stamp, self._clock.now(stamp), q, rail)
+        if self._orientations is not None and len(q) == len(self._wanted) and math.isfinite(float(q.sum())):
+            self._orientations.take_joints(stamp, q)
+
+    def _learn(self, names: list[str]) -> None:
+        self._names = names
+        self._columns = [names.index(j) for j in self._wanted if j in names]
+        self._rail = names.index(self._rail_joint) if self._rail_joint in names else None

@@ -1,0 +1,372 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sequence of a controller's packets and what the controller may hold, so that no answer is further from that than one step
+of the limits.
+
+A controller takes an answer only with the IPOC of the running cycle. Otherwise it keeps the correction that it has (HOLDON=1)
+and counts the cycle in `Delay`, which its packets carry; after `Timeout` such cycles in a row RSI stops. A packet that never came
+here shows as a gap in IPOC.
+
+`Delay` is described in public in few words, so it is taken to be up to one cycle behind: of the last two answers it is never
+known whether they were taken. That is why two answers in a row make no more than one step of the limits (`per_answer`), and why,
+when Delay rises or cycles are missing, the controller gets the middle one of what it may hold until two cycles went well.
+
+A packet belongs to the sequence when its IPOC is one cycle after the newest one, or further and as much time has passed. Anything
+else (an IPOC ahead of its time, an old one again) changes nothing: it is not answered, and forgotten as soon as the sequence goes
+on. A new session, whose answers begin at zero, is believed only when the sequence has not gone on for a while and several packets
+in a row agree.
+
+Every cycle is answered, but for two cases in which any answer could make the robot jump: RSI ran before this process did, or
+packets were missing for so long that RSI may have been stopped and started, and Delay does not say which.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from irec_calibration.typing import Array
+
+from ..limits import OffsetLimits
+
+RESTART = 150  # cycles; the controller, with its time-out of 100, has stopped RSI for sure. IPOC this far back: no late packet
+LAG = 1  # cycles by which Delay may be behind
+SHORTEST_PAUSE = 10  # cycles between two sessions; no controller stops RSI and starts it again within that
+TOLERANCE = 1  # cycles
+EARLY = 2.0  # cycles by which an IPOC may be ahead of its time: the packet before it was held up on the way
+CONFIRM = 3  # packets in a row that must agree before a new session begins at zero while the controller may hold something
+NEW_CLOCK = 10  # packets in a row of another sequence, and cycles without one of the old: the controller's clock was set anew
+REFUSED = 20  # cycles in a row that went wrong, to say so
+KEPT_ARRIVALS = 64
+IPOC_WRAP = 1 << 32  # ms
+
+
+class Action(Enum):
+    """What to do with a packet."""
+
+    NEXT = "go on from the answer before"
+    HOLD = "cycles went wrong: send what the controller may hold, go on from rest"
+    START = "a new session, which holds no correction"
+    SILENT = "any answer could be a jump, or the packet is not of this cycle: no answer"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An offset, translation (3,), m, and rotation vector (3,), rad, and its bytes up to the IPOC."""
+
+    translation: Array
+    rotation: Array
+    text: bytes
+
+
+@dataclass
+class _Other:
+    """Packets that are not of the sequence: the last IPOC, how many in step led to it, Delay and time of the first, s."""
+
+    ipoc: int
+    count: int
+    first_delay: int | None
+    since: float
+
+
+def per_answer(limits: OffsetLimits) -> OffsetLimits:
+    """Limits for a source of answers: LAG + 1 answers in a row stay within one step of the limits given."""
+    share = 1.0 / (LAG + 1)
+    return replace(
+        limits,
+        translation=replace(limits.translation, rate=share * limits.translation.rate),
+        rotation=replace(limits.rotation, rate=share * limits.rotation.rate),
+    )
+
+
+class Sequence:
+    """Judges each packet of the controller.
+
+    Attributes:
+        sent: the last answer; before: the one before it.
+        newest: IPOC of the last packet that belongs to the sequence; None: none yet.
+        problem: what somebody has to look at; empty: nothing.
+        lost: cycles without a packet. duplicate: packets of an earlier cycle. out_of_sequence: of a cycle that is not yet.
+        not_taken: answers that the controller did not take. sessions: begun so far.
+    """
+
+    def __init__(self, zero: Answer, cycle_ms: int) -> None:
+        self._zero, self._cycle_ms, self._cycle = zero, cycle_ms, 1e-3 * cycle_ms
+        self.sent = self.before = zero
+        self.problem = ""
+        self.lost = self.duplicate = self.out_of_sequence = self.not_taken = self.sessions = 0
+        self._in_a_row: bool | None = None  # how Delay counts: late cycles in a row, or in all
+        self._counts = False  # Delay has been seen to rise
+        self._clean = self._wrong = 0  # packets in a row
+        self._even = self._uneven = 0  # packets on which IPOC went on by one cycle, and others
+        self._forget_packets()
+
+    def _forget_packets(self) -> None:
+        self.newest: int | None = None  # IPOC
+        self._newest_at = 0.0  # s
+        self._delay: int | None = None  # of the newest packet
+        self._answered: tuple[int, int | None] | None = None  # IPOC and Delay of the packet answered last
+        self._doubt = False  # it is not known what the controller holds
+        self._holding = False
+        self._starting: tuple[int, float] | None = None  # packets that say that a session is new, and the time of the first
+        self._other: _Other | None = None
+        self._arrivals: deque[tuple[int, float]] = deque(maxlen=KEPT_ARRIVALS)  # IPOC and time, one per half a cycle at most
+
+    @property
+    def in_session(self) -> bool:
+        """Packets are being answered."""
+        return self._answered is not None and not self._doubt
+
+    def other_peer(self) -> None:
+        """The next packet is the first one of another socket of the controller."""
+        self._forget_packets()
+
+    def is_newer(self, stamp: tuple[int, int | None] | None, other: tuple[int, int | None] | None) -> bool:
+        """Whether another packet (IPOC, Delay) is of a later cycle; counts it where it has come twice or too late."""
+        if other is None:
+            return False
+        newer = stamp is None or not -RESTART < self._steps(stamp[0], other[0]) <= 0
+        self.duplicate += not newer
+        return newer
+
+    def judge(self, ipoc: int, delay: int | None, now: float, is_fresh: bool = False) -> Action:
+        """What to do with a packet; `sent` is then what to answer, unless it is NEXT.
+
+        Args:
+            delay: None where the packet carries none.
+            now: steady time of its arrival, s.
+            is_fresh: the socket that it comes from was silent before for RESTART cycles or more.
+        """
+        if self.newest is None:
+            self._follow(ipoc, delay, now, None)
+            return self._first(delay, is_fresh, now)
+        steps = self._steps(self.newest, ipoc)
+        if steps == 1 or (steps > 1 and now - self._newest_at >= (steps - EARLY) * self._cycle):
+            return self._in_sequence(ipoc, delay, now, steps)
+        self._pace(ipoc == self.newest)
+        if not self._doubt:
+            self.problem = self._complaint()
+        if steps == 0:
+            self.duplicate += 1
+            return Action.SILENT
+        return self._out_of_sequence(ipoc, delay, now, steps)
+
+    def gave(self, ipoc: int, delay: int | None, answer: Answer) -> None:
+        """Such an answer was sent to such a packet."""
+        self._answered = ipoc, delay
+        if answer is not self.sent:
+            self.before, self.sent = self.sent, answer
+
+    # -- packets of the sequence ---------------------------------------------------------------------------------------
+
+    def _in_sequence(self, ipoc: int, delay: int | None, now: float, steps: int) -> Action:
+        was_silent = now - self._newest_at > RESTART * self._cycle
+        rose = self._follow(ipoc, delay, now, steps)
+        if self._starting is not None:
+            return self._while_starting(ipoc, delay, now)
+        # IPOC is the controller's time: where it goes on cycle by cycle RSI has not been started anew, however long that took
+        if steps >= RESTART or (was_silent and steps > SHORTEST_PAUSE):
+            return self._after_silence(ipoc, delay, now)
+        self.lost += steps - 1
+        self._doubt = self._doubt or self._answered is None or steps > SHORTEST_PAUSE
+        if self._doubt:
+            return self._in_doubt(ipoc, delay, now)
+        return self._in_session(delay, steps - 1, rose)
+
+    def _follow(self, ipoc: int, delay: int | None, now: float, steps: int | None) -> bool:
+        """Take a packet as the newest; whether Delay has risen since the one before. Learns how Delay counts."""
+        last, self.newest, self._newest_at, self._delay, self._other = self._delay, ipoc, now, delay, None
+        if not self._arrivals or now - self._arrivals[-1][1] >= 0.5 * self._cycle:
+            self._arrivals.append((ipoc, now))
+        if steps is None:
+            return False
+        self._pace(steps == 1)
+        if delay is None or last is None:
+            return False
+        if delay > last:
+            self._counts = True
+        elif steps == 1 and last > 0:
+            self._in_a_row = delay < last
+        return delay > last
+
+    def _in_session(self, delay: int | None, gap: int, rose: bool) -> Action:
+        if gap == 0 and not rose:
+            self._clean += 1
+            self._wrong = 0
+            self.problem = self._complaint()
+            if self._holding and self._clean <= LAG:
+                return Action.HOLD
+            self._holding = False
+            return Action.NEXT
+        then = self._answered[1] if self._answered is not None else None
+        counted = 0 if delay is None or then is None else delay if self._in_a_row else delay - then
+        refused = counted > gap
+        self.not_taken += refused
+        return self._hold(refused)
+
+    def _hold(self, refused: bool) -> Action:
+        """Args: refused: the last answer was not taken, or the one before it."""
+        if refused and not self._holding:
+            self.sent = self.before
+        self._holding, self._clean = True, 0
+        self._wrong += 1
+        self.problem = self._complaint()
+        return Action.HOLD
+
+    # -- packets that are not of the sequence --------------------------------------------------------------------------
+
+    def _out_of_sequence(self, ipoc: int, delay: int | None, now: float, steps: int) -> Action:
+        """An IPOC of the past, or ahead of its time. See the head of this file."""
+        if steps < 0:
+            self.duplicate += 1
+            if self._was_overrun(ipoc, now):
+                return self._resume(ipoc, delay, now)
+        else:
+            self.out_of_sequence += 1
+        last = self._other
+        if last is not None and self._steps(last.ipoc, ipoc) == 1:
+            last.ipoc, last.count = ipoc, last.count + 1
+        else:
+            self._other = last = _Other(ipoc, 1, delay, now)
+        if 0 < steps <= SHORTEST_PAUSE and last.count >= CONFIRM:  # a cell that runs faster than its time has lost a packet
+            return self._in_sequence(ipoc, delay, now, steps)
+        if last.count < NEW_CLOCK or now - self._newest_at < NEW_CLOCK * self._cycle or self._is_replay(last, delay):
+            return Action.SILENT
+        self._follow(ipoc, delay, now, None)
+        if steps < 0:
+            return self._start()
+        self._starting = last.count, last.since  # so many have agreed already
+        return self._after_silence(ipoc, delay, now)
+
+    def _is_replay(self, other: _Other, delay: int | None) -> bool:
+        """A controller that gets no answer counts that; packets recorded earlier do not."""
+        if not self._counts or delay is None or other.first_delay is None:
+            return False
+        return delay - other.first_delay < other.count - 1 - LAG - TOLERANCE
+
+    def _was_overrun(self, ipoc: int, now: float) -> bool:
+        """Whether an earlier IPOC is in its time and the newest one was ahead of it: the newest came from somebody else."""
+        assert self.newest is not None
+        for then, at in reversed(self._arrivals):
+            steps = self._steps(then, ipoc)
+            if steps >= 1:
+                in_time = abs((now - at) / self._cycle - steps) <= EARLY + 0.5 * steps
+                ahead = self._steps(then, self.newest) - (self._newest_at - at) / self._cycle
+                return in_time and ahead > EARLY
+        return False
+
+    def _resume(self, ipoc: int, delay: int | None, now: float) -> Action:
+        while self._arrivals and self._steps(self._arrivals[-1][0], ipoc) <= 0:
+            self._arrivals.pop()
+        self._follow(ipoc, delay, now, None)
+        if self._doubt or self._answered is None:
+            return Action.SILENT
+        return self._hold(False)
+
+    # -- sessions ------------------------------------------------------------------------------------------------------
+
+    def _first(self, delay: int | None, is_fresh: bool, now: float) -> Action:
+        """The first packet of a socket."""
+        if not is_fresh and delay:
+            self._doubt = True
+            self.problem = (
+                f"RSI was running before this process, {delay} packets late: the controller may hold a correction of an "
+                "earlier one, so it gets no answer until it has stopped; then start RSI again"
+            )
+            return Action.SILENT
+        return self._start_when_sure(now)
+
+    def _after_silence(self, ipoc: int, delay: int | None, now: float) -> Action:
+        """Packets were missing for longer than any time-out of the controller should be."""
+        if self._answered is not None:
+            same = self._is_same_session(*self._answered, ipoc, delay)
+            if same:
+                self._starting = None
+                return self._hold(False)  # its time-out is longer
+            if same is None and self._counts and delay:
+                self._doubt, self._starting = True, None
+                return self._in_doubt(ipoc, delay, now)
+        return self._start_when_sure(now)
+
+    def _in_doubt(self, ipoc: int, delay: int | None, now: float) -> Action:
+        """After a long gap: is this the session of the last answer?"""
+        same = None if self._answered is None else self._is_same_session(*self._answered, ipoc, delay)
+        if same is None:
+            if self._answered is not None:
+                self.problem = (
+                    f"packets of {SHORTEST_PAUSE} cycles or more did not come, and Delay does not tell whether RSI was started "
+                    "anew meanwhile: no answer until it has stopped. DEF_Delay belongs into SEND of the ethernet XML (irec "
+                    "rsi-config writes one)"
+                )
+            return Action.SILENT
+        if not same:
+            return self._start_when_sure(now)
+        self._doubt = False
+        return self._hold(False)
+
+    def _while_starting(self, ipoc: int, delay: int | None, now: float) -> Action:
+        if self._answered is not None and self._is_same_session(*self._answered, ipoc, delay):
+            self._starting, self._doubt = None, False
+            return self._hold(False)
+        return self._start_when_sure(now)
+
+    def _start_when_sure(self, now: float) -> Action:
+        """Begin at once where that is no step, otherwise after CONFIRM packets that agree."""
+        count, since = self._starting or (0, now)
+        self._starting = count, since = count + 1, since
+        if self.sent.text == self._zero.text or (count >= CONFIRM and now - since >= (CONFIRM - 1.5) * self._cycle):
+            return self._start()
+        self._doubt = True
+        return Action.SILENT
+
+    def _start(self) -> Action:
+        self.sent = self.before = self._zero
+        self._doubt = self._holding = False
+        self._starting = None
+        self._clean = self._wrong = 0
+        self.problem = self._complaint()
+        self.sessions += 1
+        return Action.START
+
+    def _is_same_session(self, ipoc_then: int, delay_then: int | None, ipoc: int, delay: int | None) -> bool | None:
+        """Whether RSI has been running and counting since the last answer; None: can't be told."""
+        if delay is None or delay_then is None or not self._counts:
+            return None
+        least = self._steps(ipoc_then, ipoc) - 1 - LAG - TOLERANCE
+        in_a_row, in_all = delay >= least, delay - delay_then >= least
+        if self._in_a_row is None:
+            return in_a_row if in_a_row == in_all else None
+        return in_a_row if self._in_a_row else in_all
+
+    # -- what to say ---------------------------------------------------------------------------------------------------
+
+    def _pace(self, regular: bool) -> None:
+        """Watch whether IPOC goes on by one cycle from packet to packet."""
+        self._even = self._even + 1 if regular else 0
+        self._uneven = 0 if self._even >= REFUSED // 2 else self._uneven + (not regular)
+
+    def _complaint(self) -> str:
+        if self._uneven >= REFUSED:
+            return (
+                f"IPOC does not go on by {self._cycle_ms} ms from packet to packet: check parameter cycle_ms (IPO_FAST: 4, "
+                "IPO: 12), and whether somebody else sends packets; until then the offset is held"
+            )
+        if self._wrong >= REFUSED:
+            return (
+                f"the controller has not taken the last {REFUSED} answers or more: they come too late (latency in "
+                "/diagnostics), get lost on the way back (firewall), or 'sentype' is not the SENTYPE of its ethernet XML"
+            )
+        if self._answered is not None and self._answered[1] is None:
+            return (
+                "packets carry no Delay, so answers that are lost on the way to the controller are not seen, and after k of them "
+                "the next one may be (k + 1) / 2 steps of the rate limit away: add DEF_Delay to SEND of the ethernet XML (irec "
+                "rsi-config writes one)"
+            )
+        return ""
+
+    def _steps(self, before: int, after: int) -> int:
+        """Cycles from one IPOC to another."""
+        difference = after - before
+        if difference < -IPOC_WRAP // 2:
+            difference += IPOC_WRAP
+        return round(difference / self._cycle_ms)

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a process that never imports ROS waits for the setups that its node sends through a pipe, one after another."""
+
+from __future__ import annotations
+
+import signal
+from multiprocessing.connection import Connection
+from typing import Any
+
+
+def next_setup(pipe: Connection) -> tuple[Any, int]:
+    """The next setup and 0; or None and the exit code of the process: 0 after a signal, 2 where the node has ended or refused."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # while it waits; what is set up takes signals itself
+    try:
+        setup = pipe.recv()
+    except KeyboardInterrupt:
+        return None, 0
+    except EOFError:
+        return None, 2
+    return setup, 2 if setup is None else 0

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""False alarms and missed changes of the quick check on simulated robots of the AFP cell; each number of robots by `--robots`.
+
+The plant is irec_sim's; each year the tracker stands somewhere else. A change that moves the tool by less than 10 % of the
+tolerance may be missed at its own size; it is tried once more at the size that the plan of the quick check states (stated
+size). One that no load case shows has to be missed: the largest displacement stands beside each. What is not decided goes on
+to the full procedure and so is not missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from irec_calibration.identification.identify import default_terms, identify
+from irec_calibration.recertification.quick_check import MOST_VISITS, Reference, check, reference_of
+from irec_calibration.recertification.quick_plan import MATTERS, plan
+from irec_calibration.recertification.station import with_stations_found
+from irec_calibration.session import Session, read_session
+from irec_sim.cellfile import read_cell
+from irec_sim.observe import simulate
+from irec_sim.poses import Poses, spread_poses
+from irec_sim.recorded import Pass
+from irec_sim.session import Conduct, Generated, make_schedule, write_session
+from irec_sim.truth import EFFECTS, Hidden, Truth, make_truth
+from scipy.spatial.transform import Rotation
+from scipy.stats import beta
+
+POSES, TOLERANCE = 31, 3e-4
+UNCHANGED = "nothing has changed"
+LOOSE = {"per_translation": [1.6e-9, 1.6e-9, 2.2e-9], "per_rotation": [4e-8, 4e-8, 4e-8]}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", type=int, default=2, help="robots of each kind (default: 2)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first robot, which is its seed too (default: 0)")
+    parser.add_argument("--unchanged", type=int, default=4, help="checks of each robot that has not changed (default: 4)")
+    parser.add_argument("--noise", type=float, default=1.0, help="true noise as a multiple of the stated one (default: 1)")
+    args = parser.parse_args(arguments)
+    counts: dict[str, Counter[str]] = {}
+    try:
+        for seed in range(args.first, args.first + args.robots):
+            _count(counts, seed, args)
+            print(f"robot {seed}", file=sys.stderr, flush=True)
+    except KeyboardInterrupt:
+        print("interrupted: what was counted so far", file=sys.stderr)
+    _print(counts, args)
+    return 0
+
+
+def _count(counts: dict[str, Counter[str]], seed: int, args: argparse.Namespace) -> None:
+    """One robot: calibrated, then checked unchanged and with each change."""
+    truth = make_truth("afp", [], seed)
+    where = spread_poses(read_cell("afp"), POSES, np.random.default_rng(seed))
+    base = with_stations_found(_measured(truth, where, 1000 + seed, args.noise))
+    reference = reference_of(identify(base, default_terms(base)).terms, base, TOLERANCE)
+    chosen = plan(reference)
+    poses = [p - 1 for p in chosen.poses]
+    for number, (name, changed) in enumerate(_kinds(truth, chosen.sizes, args.unchanged)):
+        noise_seed = 10_000 + 100 * seed + number
+        decision, visits = _checked(reference, changed, _some(where, poses), noise_seed, args.noise, chosen.sizes)
+        moved = _moved(truth, changed, where, seed)
+        c = counts.setdefault(name, Counter())
+        c[decision] += 1
+        # one that moves the tool by a part of the tolerance that matters, or that is as large as the plan says it has to be
+        c["matters"] += moved > MATTERS * TOLERANCE or name.endswith("stated size")
+        c["missed"] += decision == "pass" and (moved > MATTERS * TOLERANCE or name.endswith("stated size"))
+        c["visits"] += visits
+        c["moved"] = max(c["moved"], round(1e6 * moved))
+
+
+def _print(counts: dict[str, Counter[str]], args: argparse.Namespace) -> None:
+    print(
+        f"quick check, robots {args.first} to {args.first + args.robots - 1}, noise {args.noise:g} times the stated; "
+        "moved: largest displacement of the tool"
+    )
+    print(f"{'':34}  changed  not decided  pass  mean visits  moved um")
+    for name, c in counts.items():
+        times = c["changed"] + c["pass"] + c["undecided"]
+        row = f"{c['changed']:7}  {c['undecided']:11}  {c['pass']:4}  {c['visits'] / times:11.1f}  {c['moved']:8}"
+        print(f"{name:34}  {row}" + ("  missed" if c["missed"] else ""))
+    same = counts[UNCHANGED]
+    times = same["changed"] + same["pass"] + same["undecided"]
+    print(f"false alarms: {_share(same['changed'], times)}; unchanged robots that passed: {_share(same['pass'], times)}")
+    others = [c for name, c in counts.items() if name != UNCHANGED]
+    matter, missed = sum(c["matters"] for c in others), sum(c["missed"] for c in others)
+    print(f"changes that matter or have their stated size and did not pass: {_share(matter - missed, matter)}")
+
+
+def _share(k: int, n: int) -> str:
+    """k of n with its 95 % confidence interval (Clopper and Pearson)."""
+    low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
+    high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
+    return f"{k} of {n} (95 % interval {100 * low:.1f} to {100 * high:.1f} %)"
+
+
+def _kinds(truth: Truth, sizes: Mapping[str, float], unchanged: int) -> list[tuple[str, Truth]]:
+    kinds = [(UNCHANGED, truth)] * unchanged
+    for k in range(6):
+        name = f"axis {k + 1}: 10 % softer"
+        at = {name: 1.0} | ({f"axis {k + 1}: softer, stated size": sizes[name]} if sizes.get(name, 1.0) > 1.0 else {})
+        for label, size in at.items():
+            axial = truth.axial.copy()
+            axial[k] *= 1.0 + 0.1 * size
+            kinds.append((label, replace(truth, axial=axial)))
+    for k in range(6):
+        name = f"axis {k + 1}: play of 100 urad"
+        at = {name: 1.0} | ({f"axis {k + 1}: play, stated size": sizes[name]} if sizes.get(name, 1.0) > 1.0 else {})
+        kinds += [(label, _with(truth, "joint_backlash", joint=k + 1, width=1e-4 * size)) for label, size in at.items()]
+    return [*kinds, ("base has come loose", _with(truth, "base_compliance", **LOOSE))]
+
+
+def _with(truth: Truth, effect: str, **parameters: Any) -> Truth:
+    drawn = EFFECTS[effect].draw(np.random.default_rng(0))
+    return replace(truth, hidden=(Hidden(effect, {**drawn, **parameters}),))
+
+
+def _some(where: Poses, index: list[int]) -> Poses:
+    return Poses(where.q[index], where.rail[index], where.p[index], where.R[index])
+
+
+def _moved(before: Truth, after: Truth, where: Poses, seed: int) -> float:
+    """Largest change of the tool's deflection over all poses and load cases, m."""
+    cell = read_cell("afp")
+    schedule = make_schedule(cell, where, 0.0, np.random.default_rng(seed))
+    a, b = (simulate(cell, t.physics(), schedule).deflection for t in (before, after))
+    return float(np.linalg.norm(b - a, axis=-1).max())
+
+
+def _checked(
+    reference: Reference, truth: Truth, where: Poses, seed: int, noise: float, sizes: Mapping[str, float]
+) -> tuple[str, int]:
+    session = _measured(truth, where, seed, noise)
+    for n in range(2, MOST_VISITS + 1):
+        result = check(reference, session.select_poses(list(range(1, n + 1))), sizes)
+        if result.decision != "undecided":
+            return result.decision, n
+    return result.decision, MOST_VISITS
+
+
+def _measured(truth: Truth, where: Poses, seed: int, noise: float) -> Session:
+    """A session whose tracker stands some centimetres and milliradians from where it is stated."""
+    cell, rng = read_cell("afp"), np.random.default_rng([seed, 1])
+    schedule = make_schedule(cell, where, 0.0, rng)
+    rows = simulate(cell, truth.physics(), schedule)
+    sigma = noise * (cell.noise["tracker_m"] + cell.noise["tracker_m_per_m"] * rows.distance)
+    marker = rows.p_marker + rng.standard_normal(rows.p_marker.shape) * sigma[..., None]
+    marker += rng.normal(0.0, noise * cell.noise.get("settling_m", 0.0), marker.shape)
+    turn = Rotation.from_rotvec(rng.normal(0.0, 4e-3, 3)).as_matrix()
+    marker = marker @ turn.T + rng.normal(0.0, 0.02, 3)
+    force = rows.force_reading + rng.normal(0.0, cell.noise["force_n"], rows.force_reading.shape)
+    numbers = np.arange(1, len(where.q) + 1)
+    one = Pass(numbers, schedule.case, schedule.stamp, rows.q, rows.p_controller, marker, force)
+    with tempfile.TemporaryDirectory() as folder:
+        made = Generated(cell, Conduct(), dict(cell.noise), [schedule], [rows], [one])
+        return read_session(write_session(made, Path(folder) / "s", "s"))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration of a case: a session on the hard plant at the cell's own poses, models of 6 and 18 degrees of freedom,
+the improved one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from irec_calibration.cell import Cell
+from irec_calibration.diagnose.improve import improve
+from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, Model, blank_model
+from irec_calibration.model.file import load_model, save_model
+from irec_calibration.poses.store import read_poses
+from irec_calibration.session import read_session
+from irec_sim.cellfile import CellFile
+from irec_sim.kinematics import forward
+from irec_sim.poses import Poses
+from irec_sim.session import generate, write_session
+from irec_sim.truth import Truth
+
+from irec_calibration import diagnose
+
+
+def planned_poses(sim: CellFile, cell: Cell) -> Poses:
+    """The engagement poses that `irec plan` wrote for this cell, as the simulator takes them."""
+    poses = read_poses(cell.poses_path, cell.serial, cell.robot.sha256).poses
+    q = np.array([p.q for p in poses])
+    pose = forward(sim.chain, q)
+    return Poses(q, np.array([p.ext.get("rail", 0.0) for p in poses]), pose.p_tcp, pose.R_tool)
+
+
+def measured_session(sim: CellFile, cell: Cell, truth: Truth, folder: Path, seed: int = 11) -> Path:
+    """Calibrate the simulated cell: all load cases at all poses, with the noise of its instruments. Written only once whole.
+
+    A session of another plant that lies there is measured anew, and the models made of it are made anew.
+    """
+    plant = json.dumps(truth.as_data(), sort_keys=True).encode() + cell.path.read_bytes() + cell.poses_path.read_bytes()
+    mark, digest = folder.with_name(folder.name + ".sha256"), hashlib.sha256(plant).hexdigest()
+    if (folder / "samples.csv").is_file() and mark.is_file() and mark.read_text() == digest:
+        return folder
+    for old in folder.parent.glob("model_*.yaml"):
+        old.unlink()
+    half = folder.with_name(folder.name + ".part")
+    for there in (half, folder):
+        shutil.rmtree(there, ignore_errors=True)
+    made = generate(sim, truth, 1, seed, at=planned_poses(sim, cell))
+    write_session(made, half, folder.name)
+    half.rename(folder)
+    mark.write_text(digest)
+    return folder
+
+
+def solved(session: Path, effects: tuple[str, ...] | list[str], path: Path) -> Model:
+    """A model of these effects; read where it is there already."""
+    if not path.is_file():
+        save_model(diagnose.solved(read_session(session), blank_model(list(effects)))[0], path)
+    return load_model(path)
+
+
+def six(session: Path, folder: Path) -> Model:
+    return solved(session, SIX_DOF, folder / "model_6dof.yaml")
+
+
+def eighteen(session: Path, folder: Path) -> Model:
+    return solved(session, EIGHTEEN_DOF, folder / "model_18dof.yaml")
+
+
+def improved(session: Path, folder: Path, progress: Callable[[float, str], None] | None = None) -> Model:
+    """As far as the evidence goes (`irec improve`)."""
+    path = folder / "model_improved.yaml"
+    if not path.is_file():
+        save_model(improve(read_session(session), progress=progress).model, path)
+    return load_model(path)

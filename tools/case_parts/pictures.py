@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of a case, in the look of irec's reports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from irec_calibration.report.style import BLUE, CONTINUOUS, GREEN, GREY, ORANGE, PURPLE, RED, pyplot, save
+from irec_sim.production.runner import Drive
+
+from .budget import Budget
+from .table import Figures
+
+
+def maps(before: Drive, after: Drive, tolerance: float, case: str, path: Path) -> Path:
+    """Absolute (lay-down) or signed (roughing) error over the part, both drives on one colour scale."""
+    plt = pyplot()
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.6), sharex=True, sharey=True, layout="constrained")
+    top = 1e3 * float(np.abs(before.error[before.counted]).max())
+    for ax, drive, title in zip(axes, (before, after), ("without correction", "with correction, 18 DOF"), strict=True):
+        keep = drive.counted.copy()
+        keep[np.arange(len(keep)) % 3 > 0] = False
+        p, e = drive.ways.p_in_cell[keep], 1e3 * drive.error[keep]
+        e, low, colours = (np.abs(e), 0.0, CONTINUOUS) if case == "afp" else (e, -top, "PuOr")
+        shown = ax.scatter(p[:, 1], p[:, 0], c=e, s=3, cmap=colours, vmin=low, vmax=top, rasterized=True)
+        inside = 100 * float((np.abs(drive.error[drive.counted]) <= tolerance).mean())
+        ax.set_title(f"{title}: {inside:.1f} % within {1e3 * tolerance:g} mm")
+        ax.set_xlabel("y [m]")
+        ax.set_aspect("equal")
+        ax.grid(False)
+    axes[0].set_ylabel("x [m]")
+    figure.colorbar(shown, ax=axes, label="|lateral deviation| [mm]" if case == "afp" else "error along the normal [mm]")
+    return save(figure, path)
+
+
+def course(before: Drive, after: Drive, improved: Drive, tolerance: float, path: Path) -> tuple[Path, str]:
+    """One course: T_31 where it was driven, else the last but one."""
+    names = before.ways.names
+    i = names.index("T_31") if "T_31" in names else max(0, len(names) - 2)
+    plt = pyplot()
+    figure, ax = plt.subplots(figsize=(10, 3.8), layout="constrained")
+    limit = 1e3 * tolerance
+    ax.axhspan(-limit, limit, color=GREEN, alpha=0.12, lw=0, label="tolerance")
+    lines = ((before, RED, "-", "without correction"), (after, BLUE, "-", "18 DOF"), (improved, PURPLE, "--", "improved"))
+    for drive, colour, dashes, label in lines:
+        k = drive.counted[:, i]
+        ax.plot(drive.ways.way[k, i], 1e3 * drive.error[k, i], color=colour, ls=dashes, lw=0.9, label=label)
+    ax.set_xlabel("way along the course [m]")
+    ax.set_ylabel("error [mm]")
+    ax.legend(ncols=4, fontsize=8)
+    ax.set_title(f"Course {names[i]}")
+    return save(figure, path), names[i]
+
+
+def ladder(rungs: dict[str, Figures], path: Path) -> Path:
+    plt = pyplot()
+    shown = {n: f for n, f in rungs.items() if n != "without correction"}
+    figure, axes = plt.subplots(1, 2, figsize=(10, 3.2), sharey=True, layout="constrained")
+    at = np.arange(len(shown))[::-1]
+    for ax, key, colour in zip(axes, ("mean", "max"), (BLUE, ORANGE), strict=True):
+        values = [getattr(f, key) for f in shown.values()]
+        bars = ax.barh(at, values, color=colour, hatch="//" if key == "max" else None)
+        ax.bar_label(bars, fmt="%.3f", padding=3, fontsize=8)
+        ax.set_xlabel(f"{key} error [mm]")
+        ax.grid(axis="y", visible=False)
+    axes[0].set_yticks(at, list(shown))
+    return save(figure, path)
+
+
+def budget(found: Budget, path: Path) -> Path:
+    """Bars of the mean error that begin where the one before ended, and the sum."""
+    plt = pyplot()
+    figure, ax = plt.subplots(figsize=(9, 3.4), layout="constrained")
+    names, values = list(found.parts), [1e3 * m for m, _ in found.parts.values()]
+    ends = np.cumsum(values)
+    at = np.arange(len(names) + 1)[::-1]
+    for y, end, value in zip(at, ends, values, strict=False):
+        ax.barh(y, value, left=end - value, color=BLUE if value >= 0 else RED, hatch=None if value >= 0 else "//")
+        ax.text(max(end, end - value) + 0.5, y, f"{value:.1f}", va="center", fontsize=8)
+    ax.barh(at[-1], 1e3 * found.total[0], color=GREY)
+    ax.text(1e3 * found.total[0] + 0.5, at[-1], f"{1e3 * found.total[0]:.1f}", va="center", fontsize=8)
+    ax.set_yticks(at, [*names, "sum = mean error"])
+    ax.set_xlabel("mean error [um]")
+    ax.grid(axis="y", visible=False)
+    return save(figure, path)
+
+
+def learned(told: dict[str, Any], path: Path) -> Path:
+    plt = pyplot()
+    figure, axes = plt.subplots(2, 2, figsize=(10, 6), layout="constrained")
+    latency = told["latency"]
+    ax = axes[0, 0]
+    ax.plot(1e3 * latency.delays, latency.curve, color=BLUE)
+    ax.axvline(1e3 * latency.delay, color=RED, ls="--")
+    ax.set(xlabel="delay [ms]", ylabel="share of motion explained", title="Latency")
+    ax = axes[0, 1]
+    for k, (name, colour) in enumerate((("along", BLUE), ("across", ORANGE), ("out of the surface", GREEN))):
+        ax.plot(
+            0.004 * np.arange(len(told["profile"].head)),
+            told["profile"].head[:, k],
+            color=colour,
+            ls=("-", "--", "-.")[k],
+            label=name,
+        )
+    ax.set(xlabel="time since the course began [s]", ylabel="force [N]", title="Known profile: the beginning")
+    ax.legend(fontsize=8)
+    ax = axes[1, 0]
+    for key, colour, name in (("plain", BLUE, "for the spectrum"), ("shaped", ORANGE, "and for the modes")):
+        taps = told[key].taps
+        f = np.linspace(0.1, 40.0, 300)
+        gain = np.exp(-2j * np.pi * f[:, None] * np.arange(len(taps)) / told[key].rate) @ taps
+        rest = np.abs(np.exp(2j * np.pi * f * told[key].lead) - gain)
+        ax.plot(f, rest, color=colour, ls="-" if key == "plain" else "--", label=name)
+    ax.plot(f, np.abs(np.exp(2j * np.pi * f * told["plain"].lead) - 1.0), color=GREY, ls=":", label="no filter")
+    ax.set(xlabel="frequency [Hz]", ylabel="share of the force that is missed", title="Designed filter")
+    ax.legend(fontsize=8)
+    ax = axes[1, 1]
+    for (where, s), colour in zip(told["structures"], (BLUE, ORANGE, GREEN), strict=False):
+        ax.semilogy(s.frequency, 1e6 * s.measured, color=colour, lw=0.6)
+        ax.semilogy(s.frequency, 1e6 * s.fitted, color=colour, ls="--", label=where.split(" ")[0])
+    ax.set(xlabel="frequency [Hz]", ylabel="um/N", title="Response to a swept force, and fit (dashed)")
+    ax.legend(fontsize=8)
+    return save(figure, path)

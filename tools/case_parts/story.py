@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A case from calibration to report: calibrate, solve, improve, drive the part, take the error down step by step,
+say where it comes
+from."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+from irec_calibration.cell import read_cell
+from irec_sim.cellfile import read_cell as read_sim_cell
+from irec_sim.production.hard import Hard, read_hard
+from irec_sim.production.ways import Ways
+
+from . import calibrated, learned
+from .budget import Budget, budget_jobs
+from .jobs import Case, Job, filters_of, load, run_jobs, ways_of
+from .page import Found, write_report
+from .table import Figures, figures, outside_bands, reduction
+
+
+class Teller:
+    """Lines with the time since the case began."""
+
+    def __init__(self) -> None:
+        self.begun = time.monotonic()
+
+    def __call__(self, text: str) -> None:
+        print(f"[{time.monotonic() - self.begun:5.0f} s] {text}", flush=True)
+
+
+def run_case(case: Case, processes: int, budget: bool) -> int:
+    """0: within the real cell's bands, 1: outside."""
+    say = Teller()
+    _state(case, "running")
+    sim, cell = read_sim_cell(case.cell_path), read_cell(case.cell_path)
+    hard = read_hard(case.truth_path, sim)
+    say(
+        "calibrating on the hard plant at the planned poses (sessions generated directly, not through the nodes; "
+        "`make demo` does that)"
+    )
+    session = calibrated.measured_session(sim, cell, hard.truth, case.out / "session")
+    six, eighteen = calibrated.six(session, case.out), calibrated.eighteen(session, case.out)
+    say(f"6 DOF leave {_um(six)} um on held-out poses, 18 DOF {_um(eighteen)} um; diagnosing and improving")
+    shares = [-1.0]
+
+    def improving(share: float, what: str) -> None:
+        if share > shares[-1] + 0.1:
+            shares.append(share)
+            say(f"~{100 * share:.0f} % {what}")
+
+    best = calibrated.improved(session, case.out, improving)
+    say(f"improved: {' + '.join(best.effects)}, {_um(best)} um on held-out poses")
+    ways = ways_of(case, hard)
+    rows = tuple(range(0, len(ways.names), case.every))
+    models = {k: str(case.out / f"model_{k}.yaml") for k in ("6dof", "18dof", "improved")}
+    whole = {
+        "without": Job("without", rows),
+        "18 DOF": Job("18dof", rows, models["18dof"]),
+        "improved": Job("improved", rows, models["improved"]),
+        "6 DOF": Job("6dof", rows, models["6dof"]),
+        "oracle": Job("oracle", rows, "oracle"),
+    }
+    plan = budget_jobs(case, say) if budget else None
+    say(f"driving {len(rows)} courses without and with correction")
+    run_jobs(case, [*whole.values(), *(plan.jobs if plan else [])], say, processes)
+    say("learning latency, force profile, filter and modes on every second course")
+    ladder, told = _ladder(case, hard, ways, rows, whole["improved"], whole["18 DOF"])
+    run_jobs(case, list(ladder.values()), say, processes)
+    found = _collect(case, rows, whole, ladder, told, hard, plan.of(case, cell.tolerance) if plan else None)
+    report = write_report(found, case.out)
+    _finish(case, found, say, report)
+    return 1 if found.outside else 0
+
+
+def _um(model) -> str:  # type: ignore[no-untyped-def]
+    return f"{1e6 * model.figures['cv_rms_m']:.0f}"
+
+
+def _state(case: Case, state: str) -> None:
+    (case.out / "state.json").write_text(json.dumps({"case": case.name, "state": state}) + "\n", encoding="utf-8")
+
+
+def _ladder(
+    case: Case, hard: Hard, ways: Ways, rows: tuple[int, ...], improved: Job, eighteen: Job
+) -> tuple[dict[str, Job], dict[str, object]]:
+    """Jobs on the held-out courses, each with what the one before has and one thing more; and what was learnt."""
+    drive, _ = load(case, improved)
+    train, held_out = np.arange(0, len(rows), 2), np.arange(1, len(rows), 2)
+    if len(held_out) == 0:
+        train = held_out = np.arange(len(rows))
+    latency, bag = learned.latency_of(case, drive, train)
+    lead = learned.lead_of(case, latency)
+    profile = learned.profile_of(drive, train)
+    force, noise = learned.unsteady(case, drive, train, profile)
+    found = learned.structures_of(case, ways.only(np.array(rows)), train)
+    modes = learned.modes_for_design(found)
+    plain, shaped = learned.designs(force, noise, lead, modes, filters_of(case).cutoff)
+    some = tuple(int(rows[i]) for i in held_out)
+    path = learned.write_profiles(profile, ways.only(np.array(some)), np.array(some), case.out / "profiles.npz")
+    base = Job("ladder_0", some, eighteen.model)
+    jobs = {"18 DOF, as in the paper": base}
+    jobs["+ static effects (improve)"] = step = replace(base, name="ladder_1", model=improved.model)
+    jobs["+ latency, extrapolated"] = replace(step, name="ladder_2", lead=float(min(latency.delay, 0.1)))
+    jobs["+ known force profile"] = step = replace(step, name="ladder_3", profiles=str(path), ahead=float(latency.delay))
+    jobs["+ filter for the measured spectrum"] = step = replace(step, name="ladder_4", taps=_taps(plain.taps), ahead=lead)
+    jobs["+ modes of the structure"] = replace(step, name="ladder_5", taps=_taps(shaped.taps))
+    jobs["without correction"] = Job("ladder_without", some)
+    told = {
+        "latency": latency,
+        "bag": bag,
+        "lead": lead,
+        "noise": noise,
+        "structures": found,
+        "plain": plain,
+        "shaped": shaped,
+        "profile": profile,
+    }
+    return jobs, told
+
+
+def _taps(taps) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
+    return tuple(float(f"{x:.9g}") for x in taps / taps.sum())
+
+
+def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None) -> Found:  # type: ignore[no-untyped-def]
+    tolerance = read_cell(case.cell_path).tolerance
+    drives = {name: load(case, job) for name, job in whole.items()}
+    table: dict[str, Figures] = {name: figures(d, tolerance) for name, (d, _) in drives.items()}
+    steps = {name: load(case, job) for name, job in ladder.items()}
+    rungs = {name: figures(d, tolerance) for name, (d, _) in steps.items()}
+    outside = outside_bands(case.name, table["without"], table["18 DOF"])
+    return Found(
+        case.name,
+        tolerance,
+        {n: d for n, (d, _) in drives.items()},
+        table,
+        rungs,
+        {n: t for n, (_, t) in {**drives, **steps}.items()},
+        {n: d for n, (d, _) in steps.items()},
+        told,
+        hard,
+        budget,
+        outside,
+    )
+
+
+def _finish(case: Case, found: Found, say: Teller, report: Path) -> None:
+    before = found.table["without"]
+    print(f"\n  {'mm':34} {'mean':>8} {'max':>8} {'std':>8}   reduction of mean, max, std (%)   inside")
+    for name, f in found.table.items():
+        cut = "" if name == "without" else "{:8.1f} {:8.1f} {:8.1f}".format(*reduction(before, f))
+        print(f"  {name:34} {f.mean:8.3f} {f.max:8.3f} {f.std:8.3f}   {cut:27}   {100 * f.inside:12.1f} %")
+    print("  on courses that nothing was learnt from:")
+    start = found.rungs["without correction"]
+    for name, f in found.rungs.items():
+        cut = "{:8.1f} {:8.1f} {:8.1f}".format(*reduction(start, f))
+        print(f"  {name:34} {f.mean:8.3f} {f.max:8.3f} {f.std:8.3f}   {cut:27}   {100 * f.inside:12.1f} %")
+    for text in found.outside:
+        print(f"  this plant is outside the real cell's bands: {text}")
+    last = list(found.rungs)[-2]
+    summary = {
+        "format": "irec-case/1",
+        "case": case.name,
+        "calibrated": "sessions generated directly, not through the nodes",
+        "table": {n: asdict(f) for n, f in found.table.items()},
+        "ladder": {n: asdict(f) for n, f in found.rungs.items()},
+        "outside_bands": found.outside,
+        "last_rung_reduction": reduction(start, found.rungs[last]),
+        "budget_mm": found.budget.parts if found.budget else None,
+        "wall_s": round(time.monotonic() - say.begun, 1),
+    }
+    (case.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    _state(case, "done")
+    say(f"report: {report}")

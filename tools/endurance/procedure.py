@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hours of the procedure with real processes: `python tools/endurance/procedure.py [--hours 24] [--seconds S]`.
+
+Run after run through the nodes against the simulated cell, faster than real time, each with a recording of its own; memory,
+handles and threads of procedure and driver are read every few seconds. Ends after so many hours of the cell or seconds of this
+machine, whichever comes first, and prints what grew, with confidence intervals, over the hours that were really run. Exit 1
+where something certainly grows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parent / "faults")]
+
+from demo_parts.domain import free_domain  # noqa: E402
+from slopes import Sample, grows, sample, slopes  # noqa: E402
+from stack import START, Stack  # noqa: E402
+
+from irec_msgs.action import RunProcedure  # noqa: E402
+
+LIMITS = {"memory_kB": 256.0, "handles": 0.05, "threads": 0.05}  # per hour of the cell
+EVERY = 5.0  # s of the cell's clock between two samples
+RUN = 600.0  # s of the machine's clock for one run
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--hours", type=float, default=24.0, help="of the cell's clock")
+    parser.add_argument("--seconds", type=float, default=0.0, help="of this machine; 0: no limit")
+    parser.add_argument("--speed", type=float, default=30.0, help="simulated s per s, as far as the machine can")
+    parser.add_argument("--out", type=Path, default=Path("out/endurance"))
+    args = parser.parse_args()
+    stack = Stack(args.out.absolute(), free_domain(), args.speed)
+    try:
+        samples, runs, poses = _run(stack, args.hours, args.seconds)
+    finally:
+        stack.close()
+    hours = samples["procedure"][-1].hours if samples["procedure"] else 0.0
+    print(f"{hours:.3f} h of the cell, {runs} runs, {poses} poses")
+    bad: list[str] = []
+    for name, taken in samples.items():
+        found = slopes(taken)
+        print(f"{name}: {taken[0].memory_kB / 1024:.1f} MB at first, {taken[-1].memory_kB / 1024:.1f} MB at last")
+        for what, slope in found.items():
+            print(f"  {what:<10} {slope}")
+        bad += [f"{name}: {text}" for text in grows(found, LIMITS)]
+    print("; ".join(bad) or "nothing certainly grows")
+    return 1 if bad else 0
+
+
+def _run(stack: Stack, hours: float, seconds: float) -> tuple[dict[str, list[Sample]], int, int]:
+    stack.ensure("driver", "procedure")
+    stack.until(lambda: stack.action.server_is_ready() and stack.robot is not None and stack.report.get("time"), "nodes", START)
+    began, end = float(stack.report["time"]), time.monotonic() + seconds if seconds else float("inf")
+    samples: dict[str, list[Sample]] = {"procedure": [], "driver": []}
+    runs = poses = 0
+    last = began
+    session = stack.folder / "endurance.mcap"
+    while time.monotonic() < end and (last - began) < 3600.0 * hours:
+        session.unlink(missing_ok=True)
+        goal = RunProcedure.Goal(poses_path="", session_path=str(session))
+        stack.mark()
+        sent = stack.action.send_goal_async(goal)
+        stack.until(sent.done, "the goal is answered", START)
+        done = sent.result().get_result_async()
+        until = time.monotonic() + RUN
+        while not done.done() and time.monotonic() < min(until, end):
+            stack.spin()
+            stack.texts.clear()
+            now = float(stack.report["time"])
+            if now - last >= EVERY:
+                last = now
+                for name, taken in samples.items():
+                    taken.append(sample((now - began) / 3600.0, stack.processes[name].pid))
+        poses += sum(e["kind"] == "complete" for e in stack.events)
+        if not done.done():
+            sent.result().cancel_goal_async()
+            stack.until(done.done, "the cancelled run's end", 60.0)
+            break
+        runs += 1
+        left = 3600.0 * hours - (last - began)
+        print(f"run {runs}: {done.result().result.message} ({left / 3600:.2f} h of the cell left)", file=sys.stderr, flush=True)
+    return samples, runs, poses
+
+
+if __name__ == "__main__":
+    sys.exit(main())
