@@ -44,6 +44,7 @@ def attempt(study: Study, effect: Effect) -> Attempt:
     Raises:
         EffectError: the effect can't be seen in this session.
     """
+    study = study.to_weigh
     why = study.why_not(effect)
     trial = None if why else try_effect(study, effect)
     if trial is None:
@@ -67,7 +68,7 @@ def added(session: Session, study: Study, parent: Model, effect: Effect, tried: 
     """
     if tried is None or effect.evidence is Evidence.REFERENCE_READINGS:
         return add_effect(parent, effect, session)
-    found = refit(study, tried.trial)
+    found = refit(study.to_weigh, tried.trial)
     if found is None:
         raise EffectError(f"'{effect.id}' could not be fitted together with {', '.join(parent.effects)}")
     pruned = prune(found, (effect.id,))

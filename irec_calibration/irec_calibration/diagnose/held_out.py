@@ -13,6 +13,7 @@ from ..identification.provenance import model_of
 from ..identification.validation import HeldOut, held_out_error
 from ..model import Model, Term
 from ..session.data import Session
+from .apart import set_apart
 from .evidence import Block
 from .remainder import Remainder
 from .study import Study, prepare
@@ -64,5 +65,5 @@ def solved(session: Session, terms: Sequence[Term]) -> tuple[Model, tuple[str, .
     study, result = made.study, made.study.fit
     whole = observe_with_force_noise(session, terms) if session.kind == "absolute" else study.observation
     if len(whole.rows) != len(study.observation.rows):  # models are compared on fewer poses than there are
-        result = fit(study.terms, whole, prior_width=study.base.width)
+        result = fit(study.terms, set_apart(whole, study.apart), prior_width=study.base.width)
     return model_of(result, held_out=made.held_out), study.session.notes

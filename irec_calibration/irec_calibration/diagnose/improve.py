@@ -177,7 +177,7 @@ def add_effect(model: Model, effect: Effect, session: Session) -> tuple[Model, S
     if effect.id in model.effects:
         raise ModelError(f"the model has the effect '{effect.id}' already; its effects are {', '.join(model.effects)}")
     before = validated(session, model.terms)
-    old = before.study
+    old = before.study.to_weigh
     why = old.why_not(effect)
     if effect.evidence is Evidence.REFERENCE_READINGS and not why:
         return _with_weight(model, effect, before)
@@ -191,17 +191,17 @@ def add_effect(model: Model, effect: Effect, session: Session) -> tuple[Model, S
         raise EffectError(f"effect '{effect.id}' could not be fitted to {session.name} together with {', '.join(model.effects)}")
     pruned = prune(found, (effect.id,))
     made = validated(session, pruned.study.terms)
-    return versioned(made, model, f"added {effect.id}", pruned.parts), old, made.study
+    return versioned(made, model, f"added {effect.id}", pruned.parts), before.study, made.study
 
 
 def _with_weight(model: Model, effect: Effect, before: Validated) -> tuple[Model, Study, Study]:
-    old = before.study
+    old = before.study.to_weigh
     readings = reference_readings(old.ready, old.session.noise.force_n)
     if readings is None:
         raise EffectError(f"effect '{effect.id}' needs force readings at the references of a loaded session")
     term = Term(effect, {"dm": Estimate(readings.mass, readings.mass_se, "kg", -500.0, 500.0)})
     new = versioned(before, model, f"added {effect.id}")
-    return replace(new, terms=(*new.terms, term)), old, old
+    return replace(new, terms=(*new.terms, term)), before.study, before.study
 
 
 def remove_effect(model: Model, effect_id: str, session: Session) -> tuple[Model, Study]:

@@ -16,7 +16,7 @@ from ..model import Term
 from ..typing import Array
 from .evidence import Ground
 from .family import Family, Structure, family_of
-from .remainder import Remainder, grow
+from .remainder import Part, Remainder, grow
 from .settings import SETTINGS, Settings
 from .study import Study, study_of
 from .wander import likelier, wandering
@@ -42,8 +42,10 @@ class Repeats:
     p_value: float
 
 
-def with_inferred_level(observation: Observation, terms: Sequence[Term], settings: Settings = SETTINGS) -> Study:
-    """A model fitted to a session at the noise level that model and unnamed remainder leave together."""
+def with_inferred_level(
+    observation: Observation, terms: Sequence[Term], settings: Settings = SETTINGS
+) -> tuple[Study, tuple[Part, ...]]:
+    """A model fitted to a session at the noise level that model and unnamed remainder leave together; rows that stand out."""
     observation = replace(observation, whiten=observation.whiten.scaled(1.0 / observation.whiten.level))
     first = study_of(observation, terms)
     family = family_of(first)
@@ -52,8 +54,9 @@ def with_inferred_level(observation: Observation, terms: Sequence[Term], setting
     if observation.whiten.wander is not None:
         first = study_of(observation, first.terms)
         family = family_of(first)
-    level = level_beside(first, grow(first.bench, family, first.base), settings)
-    return study_of(replace(observation, whiten=observation.whiten.scaled(level)), first.terms)
+    remainder = grow(first.bench, family, first.base)
+    level = level_beside(first, remainder, settings)
+    return study_of(replace(observation, whiten=observation.whiten.scaled(level)), first.terms), remainder.bad_rows
 
 
 def noise_left(study: Study, remainder: Remainder, family: Family, settings: Settings = SETTINGS) -> Observation | None:

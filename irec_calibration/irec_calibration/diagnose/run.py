@@ -76,7 +76,7 @@ def examine(
 
     say(0.0, "fitting the model")
     first = validated(session, model.terms if model else start_terms(session))
-    asked = first.study
+    asked = first.study.to_weigh
     check()
     study = completed_study(asked)
     check()

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import log
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from ..typing import Array
 from .evidence import Bench, Block, NoisePrior
 from .priors import FACTORS, choices
 
+if TYPE_CHECKING:
+    from .remainder import Part
+
 
 @dataclass(frozen=True)
 class Study:
@@ -33,6 +37,8 @@ class Study:
         ready: scene under the model's wrench corrections, with the elastic response of its springs attached.
         base: columns of the model's own parameters; owners: effect id of each; parameters.
         scale: physical value of one scaled unit, (p,).
+        apart: rows that stand out and have noise of their own in it (`apart.py`); as_stated: the same without that, None where no
+            row stands out.
     """
 
     fit: Fit
@@ -42,6 +48,13 @@ class Study:
     parameters: tuple[Parameter, ...]
     scale: Array
     bench: Bench
+    apart: tuple[Part, ...] = ()
+    as_stated: Study | None = None
+
+    @property
+    def to_weigh(self) -> Study:
+        """What alternatives are weighed on: there a row that stands out may yet be shown to have a cause."""
+        return self.as_stated or self
 
     @property
     def observation(self) -> Observation:
@@ -92,12 +105,18 @@ class Study:
 def prepare(session: Session, terms: Sequence[Term]) -> Study:
     """Fit a model to a session with weak priors whose level the session sets, and lay out the linear problem.
 
+    Rows that stand out beside the model and whatever else has structure count as little as they deserve.
+
     Raises:
         SolveError: the session can't be used with this model.
     """
+    from .apart import set_apart
     from .level import with_inferred_level
 
-    return with_inferred_level(thinned(observe_with_force_noise(session, terms)), terms)
+    found, bad = with_inferred_level(thinned(observe_with_force_noise(session, terms)), terms)
+    if not bad:
+        return found
+    return replace(study_of(set_apart(found.observation, bad), found.terms), apart=bad, as_stated=found)
 
 
 def completed_study(study: Study) -> Study:

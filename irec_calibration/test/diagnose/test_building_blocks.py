@@ -52,7 +52,7 @@ def play_of_axis_4(scene: Scene) -> Array:
 @cache
 def study(hidden: Callable[[Scene], Array] | None = None) -> Study:
     measured = synthetic.session(poses=20, seed=5, extra=hidden)
-    return prepare(measured, start_terms(measured))
+    return prepare(measured, start_terms(measured)).to_weigh
 
 
 def shift(size: Array) -> Term:
