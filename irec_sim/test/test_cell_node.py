@@ -180,6 +180,18 @@ def test_going_back_to_position_control_does_not_move_the_robot(fast_cell: Clien
     assert np.abs(np.array(cell.last("joint_states").position) - before).max() < 2e-5
 
 
+def test_a_client_that_falls_silent_after_force_control_is_left_by_the_robot(fast_cell: Client) -> None:
+    cell = fast_cell
+    press(cell)
+    cell.wait(lambda: cell.last("wrench").wrench.force.z < -1080.0, "force")
+    assert cell.switch(RobotState.MODE_POSITION).success
+    cell.wait(lambda: cell.last("robot/state").expired_leases == 1, "end of the time for a move")
+    cell.wait(lambda: not cell.last("robot/state").retreating, "end of the way back")
+    assert cell.last("robot/state").mode == RobotState.MODE_POSITION
+    assert "no move came for 2 s" in cell.last("robot/state").message
+    cell.wait(lambda: abs(cell.last("wrench").wrench.force.z) < 20.0, "no contact")
+
+
 def test_a_client_that_falls_silent_while_it_presses_is_left_by_the_robot(fast_cell: Client) -> None:
     cell = fast_cell
     press(cell)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A force set point that is not renewed leads out of the contact."""
+"""A force set point that is not renewed, and a contact that nobody leaves, lead out of the contact."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def pressing_cell(settings: LeaseSettings) -> tuple[Cell, ForceLease]:
     lease = ForceLease(cell, settings)
     for _ in range(500):
         lease.renew()
-        assert lease.step() is None
+        assert lease.step(False) is None
         cell.step()
     assert cell.true_force()[2] == pytest.approx(-1100.0, abs=10.0)
     return cell, lease
@@ -48,7 +48,7 @@ def let_run_out(cell: Cell, lease: ForceLease, seconds: float = 3.0) -> tuple[li
     """Normal force at each step after the last set point, and the way back."""
     forces, way_back, begun = [], None, 0.0
     for _ in range(int(seconds / cell.period)):
-        move = lease.step()
+        move = lease.step(way_back is not None)
         if move is not None:
             way_back, begun = move, cell.time
         if way_back is not None:
@@ -77,10 +77,48 @@ def test_a_set_point_in_the_ramp_takes_the_force_up_again() -> None:
     assert lease.ramping
     lease.renew()
     cell.set_force(PRESSING)
-    assert not lease.ramping and lease.step() is None and cell.mode == FORCE
+    assert not lease.ramping and lease.step(False) is None and cell.mode == FORCE
 
 
 def test_a_driver_without_the_switch_presses_on() -> None:
     cell, lease = pressing_cell(LeaseSettings(hold=0.0))
     forces, way_back = let_run_out(cell, lease, 2.0)
     assert way_back is None and max(forces) < -1080.0
+
+
+def test_a_robot_left_in_contact_after_force_control_draws_the_tool_back() -> None:
+    cell, lease = pressing_cell(LeaseSettings())
+    p_pressing, R = cell.tcp()
+    cell.control_position()
+    lease.left_force_control()
+    forces, way_back = let_run_out(cell, lease, 3.5)
+    assert max(forces[: int(1.9 / cell.period)]) < -1080.0
+    assert forces[int(2.4 / cell.period)] == 0.0
+    assert way_back is not None and cell.mode == POSITION and lease.expired == 1
+    np.testing.assert_allclose((p_pressing - cell.tcp()[0]) @ R[:, 2], 0.02, atol=2e-3)
+    assert "no move came for 2 s" in lease.reason
+
+
+def test_a_move_within_the_time_is_not_disturbed_and_one_that_ends_in_contact_begins_it_anew() -> None:
+    cell, lease = pressing_cell(LeaseSettings())
+    cell.control_position()
+    lease.left_force_control()
+    for k in range(int(5.0 / cell.period)):
+        assert lease.step(moving=375 < k) is None  # begun 1.5 s after the switch, standing nearly
+        cell.step()
+    moves = []
+    for _ in range(int(2.1 / cell.period)):
+        moves.append(lease.step(moving=False))
+        cell.step()
+    assert [m is not None for m in moves].index(True) == pytest.approx(500, abs=2)
+
+
+def test_without_contact_a_switch_to_position_control_asks_for_no_move() -> None:
+    cell = Cell(AFP, make_truth("afp", [], 0))
+    lease = ForceLease(cell, LeaseSettings())
+    cell.control_force(np.zeros(3))
+    lease.renew()
+    cell.control_position()
+    lease.left_force_control()
+    _, way_back = let_run_out(cell, lease, 3.0)
+    assert way_back is None and lease.expired == 0

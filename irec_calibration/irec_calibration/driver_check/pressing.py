@@ -19,6 +19,8 @@ STATE = 0.5  # s until robot/state says so
 JUMP = 2e-4  # m of tcp_pose when position control freezes the robot
 LEASE_SLACK = 1.0  # s beyond the lease in which the force has to be gone: the ramp
 LEFT = 20.0  # N, no contact
+LEAVE = 2.0  # s in which a move has to begin after force control, by the contract
+LEAVE_SLACK = 1.0  # s beyond it in which the force has to be gone
 RETRACT_SHARE = 0.8  # of the way back that the driver states
 
 
@@ -33,6 +35,7 @@ class Pressing:
         jump: m, of tcp_pose at the switch to position control.
         move: answer to a move in force control.
         after: from the last set point on; R_tool: rotation of tool0 in base_link then; last_sent: s.
+        left: from a switch to position control in contact on, without a move; left_at: s.
     """
 
     to_force: Answer
@@ -46,11 +49,13 @@ class Pressing:
     after: Observation
     R_tool: Array
     last_sent: float
+    left: Observation
+    left_at: float
 
 
 def judge_pressing(p: Pressing) -> list[Item]:
     """All items of the level."""
-    return [*_switches(p), *_forces(p), *_lease(p)]
+    return [*_switches(p), *_forces(p), *_lease(p), *_left_alone(p)]
 
 
 def _item(name: str, passed: bool, figure: str, limit: str, advice: str) -> Item:
@@ -158,3 +163,18 @@ def _lease(p: Pressing) -> Iterator[Item]:
             "",
             "count expired_leases, say retreating, go to position control",
         )
+
+
+def _left_alone(p: Pressing) -> Iterator[Item]:
+    force = p.left.streams.get("wrench")
+    if p.lease <= 0.0 or force is None or not len(force.stamp):
+        return
+    gone = force.stamp[np.abs(force.value[:, 2]) < LEFT]
+    late = float(gone[0] - p.left_at) if len(gone) else np.inf
+    yield _item(
+        "the force goes when no move comes after force control",
+        0.5 * LEAVE <= late <= LEAVE + LEAVE_SLACK,
+        f"{late:.2f} s",
+        f"{0.5 * LEAVE:g} to {LEAVE + LEAVE_SLACK:g} s",
+        f"draw the tool back by itself where it stands in contact and no move came for {LEAVE:g} s after force control",
+    )

@@ -22,6 +22,7 @@ DAMPING = 1e-6  # of the pseudo-inverse
 RETREAT_SPEED = 0.05  # m/s
 HOLD, SILENT, FADE = 0.020, 0.100, 0.5  # s: an offset is held, then missed, then faded to zero
 NO_WRENCH = 0.1  # s without a wrench in force control: no advance
+LEAVING = "the robot is leaving the contact by itself: no force set point or no move came in time"
 BEHIND = 0.3  # s for which positions may lag behind what was sent
 
 
@@ -31,6 +32,8 @@ class Settings:
 
     Attributes:
         lease: s for which a force set point holds. ramp: s in which the force is taken down after that. retract: m.
+        leave: s within which a move has to begin once the robot was switched to position control and touches.
+        touch: N, a force from which on it does.
         contact_stiffness: of arm and surface along the tool, N/m; the true one may be 4 times softer or stiffer.
         force_time: s, time constant of the force control. contact_speed: m/s, largest of it.
         offset_limit, offset_turn: m and rad, largest offset that is applied.
@@ -40,6 +43,8 @@ class Settings:
     lease: float = 0.5
     ramp: float = 0.3
     retract: float = 0.02
+    leave: float = 2.0
+    touch: float = 20.0
     contact_stiffness: float = 1e6
     force_time: float = 0.3
     contact_speed: float = 5e-3
@@ -77,6 +82,7 @@ class PositionRobot:
         self._asked = np.zeros(3)
         self._renewed = 0.0
         self._ramp_from: tuple[float, Array] | None = None
+        self._stands: float | None = None  # since when in the contact in position control
         self._wanted_offset, self._offset_at, self._missed = np.zeros(6), -math.inf, False
         self._offset_share = 0.0
         self._tick_at = -math.inf
@@ -88,7 +94,7 @@ class PositionRobot:
 
     @property
     def retreating(self) -> bool:
-        """A set point has run out and the robot is on its way out of the contact."""
+        """The robot is on its way out of the contact by itself."""
         return self._retreat or self._ramp_from is not None
 
     @property
@@ -105,7 +111,7 @@ class PositionRobot:
         if self.mode == FAULT:
             raise MoveError(self.message)
         if self.retreating:
-            raise MoveError("the robot is leaving the contact by itself: no force set point came in time")
+            raise MoveError(LEAVING)
         if self.mode != POSITION:
             raise MoveError("moves are refused in force control; switch to position control first")
         if self._order is not None:
@@ -122,16 +128,16 @@ class PositionRobot:
         if self.mode == FAULT:
             raise MoveError(self.message)
         if self.retreating:
-            raise MoveError("the robot is leaving the contact by itself: no force set point came in time")
+            raise MoveError(LEAVING)
         if self._order is not None:
             raise MoveError("a move is under way; cancel it before switching the control mode")
         if force:
             self._take(asked)
             if self.mode != FORCE:
                 self._freeze()
-            self.mode, self._renewed = FORCE, now
-        else:
-            self.mode = POSITION
+            self.mode, self._renewed, self._stands = FORCE, now, None
+        elif self.mode == FORCE:
+            self.mode, self._stands = POSITION, now
         self.message = ""
 
     def set_force(self, asked: Sequence[float], now: float) -> None:
@@ -156,7 +162,7 @@ class PositionRobot:
         if self.mode == FAULT:
             return
         self.mode, self.message = FAULT, reason
-        self._retreat, self._ramp_from, self.offset = False, None, np.zeros(6)
+        self._retreat, self._ramp_from, self._stands, self.offset = False, None, None, np.zeros(6)
         if self._order is not None:
             order, self._order = self._order, None
             order.ended(0.0, reason)
@@ -185,6 +191,8 @@ class PositionRobot:
             return None
         if self.mode == FORCE:
             self._press(now, dt, wrench)
+        elif self._stands is not None:
+            self._stand(now, wrench)
         self._move(now)
         send = self._with_offset(now, dt)
         self._sent.append((now, send))
@@ -235,6 +243,23 @@ class PositionRobot:
             self.message = f"force control stands: {error}"
             return
         self._base = stepped
+
+    def _stand(self, now: float, wrench: tuple[float, Array] | None) -> None:
+        """In position control where force control left the robot: leave the contact where no move comes."""
+        s = self.settings
+        known = wrench is not None and now - wrench[0] <= NO_WRENCH
+        force = float(np.linalg.norm(wrench[1])) if known and wrench is not None else math.inf  # not known: taken for contact
+        if s.lease <= 0.0 or force < s.touch:
+            self._stands = None
+        elif self._order is not None:  # counted anew where it ends in the contact
+            self._stands = now
+        elif self._stands is not None and now - self._stands > s.leave:
+            self.expired += 1
+            self._stands = None
+            self.message = (
+                f"switched to position control in contact, and no move came for {s.leave:g} s: the robot draws the tool back"
+            )
+            self._draw_back(now)
 
     def _draw_back(self, now: float) -> None:
         base = self.commanded

@@ -12,7 +12,7 @@ from ..driver_check.moving import Moves, judge_moves
 from ..driver_check.observed import Answer, Item, Observation
 from ..driver_check.offset import Offsets, judge_offset
 from ..driver_check.passive import judge_passive
-from ..driver_check.pressing import Pressing, judge_pressing
+from ..driver_check.pressing import LEAVE, Pressing, judge_pressing
 from ..poses.pool import Checker
 from ..procedure.axes import Axes
 from ..procedure.settings import Settings
@@ -119,7 +119,16 @@ def pressing(client: DriverClient) -> list[Item]:
     if client.last("robot/state")[0] == 1.0:  # no dead man's switch
         client.switch(SetControlMode.Request.POSITION, none)
     client.move_line(p0, R0, SPEED)
-    return judge_pressing(Pressing(to_force, to_position, state_late, lease, retract, held, jump, refused, after, R0, last))
+    client.pressing = down
+    client.switch(SetControlMode.Request.FORCE, down)
+    client.pause(3.0)
+    client.pressing, left_at = None, client.now
+    client.switch(SetControlMode.Request.POSITION, none)
+    client.pause(LEAVE + 3.0)
+    left = client.seen(left_at, client.now)
+    client.move_line(p0, R0, SPEED)
+    seen = Pressing(to_force, to_position, state_late, lease, retract, held, jump, refused, after, R0, last, left, left_at)
+    return judge_pressing(seen)
 
 
 def offset(client: DriverClient) -> list[Item]:

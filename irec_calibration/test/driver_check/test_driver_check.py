@@ -205,15 +205,22 @@ def after_lease(lease: float = 0.5) -> Observation:
     return Observation({"wrench": stream(t, wrench, "tool0"), "tcp_pose": stream(slow, tcp), "robot/state": stream(slow, state)})
 
 
+def left_alone(leave: float = 2.0) -> Observation:
+    """From the switch to position control at 60 s on."""
+    t = 60.0 + np.arange(1, 1250) / 250.0
+    force = np.c_[np.zeros((len(t), 2)), -200.0 * (t < 60.0 + leave), np.zeros((len(t), 3))]
+    return Observation({"wrench": stream(t, force, "tool0")})
+
+
 def pressing() -> Pressing:
     held = [(f, f + 1.0) for f in np.array([[0, 0, -200.0], [30.0, 0, -200.0], [0, -30.0, -200.0]])]
     ok, no = Answer(True, "", 0.1), Answer(False, "moves are refused in force control", 0.1)
-    return Pressing(ok, ok, 0.05, 0.5, 0.02, held, 1e-6, no, after_lease(), np.eye(3), 50.0)
+    return Pressing(ok, ok, 0.05, 0.5, 0.02, held, 1e-6, no, after_lease(), np.eye(3), 50.0, left_alone(), 60.0)
 
 
 def test_a_true_driver_passes_the_pressing() -> None:
     items = judge_pressing(pressing())
-    assert not failures(items) and len(items) >= 12
+    assert not failures(items) and len(items) >= 13
 
 
 PRESSING: dict[str, tuple[Callable[[Pressing], Pressing], str]] = {
@@ -230,6 +237,10 @@ PRESSING: dict[str, tuple[Callable[[Pressing], Pressing], str]] = {
     "no dead man's switch": (lambda p: replace(p, lease=0.0), "give the driver a dead man's switch"),
     "presses on": (lambda p: replace(p, after=after_lease(10.0)), "the force goes when no set point comes: inf s"),
     "lets go too early": (lambda p: replace(p, after=after_lease(0.0)), "the force holds for the lease"),
+    "stays after force control": (lambda p: replace(p, left=left_alone(10.0)),
+        "the force goes when no move comes after force control: inf s"),
+    "leaves before a move can come": (lambda p: replace(p, left=left_alone(0.1)),
+        "the force goes when no move comes after force control: 0.10 s"),
     "stays in contact": (lambda p: replace(p, retract=0.2), "the tool is drawn back: 20.0 mm"),
 }  # fmt: skip
 

@@ -166,6 +166,50 @@ def test_a_set_point_that_is_not_renewed_runs_out_and_the_robot_leaves_the_conta
     assert at - line.depth == pytest.approx(0.02, abs=3e-3) and not line.force.any()
 
 
+def test_a_robot_left_in_contact_after_force_control_leaves_it_by_itself() -> None:
+    line = Line()
+    line.robot.switch(True, (0.0, 0.0, -500.0), line.now)
+    line.run(4.0, (0.0, 0.0, -500.0))
+    at = line.depth
+    line.robot.switch(False, (0.0, 0.0, 0.0), line.now)
+    line.run(1.0)
+    line.robot.switch(False, (0.0, 0.0, 0.0), line.now)  # asked again: changes nothing
+    line.run(0.9)
+    assert not line.robot.retreating and line.depth == at
+    line.run(0.2)
+    assert line.robot.retreating and line.robot.expired == 1
+    line.run(1.5)
+    assert not line.robot.retreating and "no move came for 2 s" in line.robot.message
+    assert at - line.depth == pytest.approx(0.02, abs=1e-4) and not line.force.any()
+
+
+@pytest.mark.parametrize("sensor", [True, False])
+def test_a_move_that_ends_in_the_contact_begins_the_time_anew(sensor: bool) -> None:
+    line = Line()
+    line.robot.switch(True, (0.0, 0.0, -500.0), line.now)
+    line.run(4.0, (0.0, 0.0, -500.0))
+    line.sensor = sensor  # a force that is not known is taken for contact
+    line.robot.switch(False, (0.0, 0.0, 0.0), line.now)
+    line.run(1.5)
+    target = line.p - 1e-4 * line.R0[:, 2]
+    line.move(PLANNER.linear(line.robot.commanded, target, Rotation.from_matrix(line.R0).as_quat(), 1e-3))
+    line.run(1.8)
+    assert line.force[2] < -100.0 and not line.robot.retreating
+    line.run(3.0)
+    assert line.robot.expired == 1 and not line.force.any()
+
+
+def test_a_robot_out_of_the_contact_stays_where_its_moves_have_led() -> None:
+    line = Line()
+    line.robot.switch(True, (0.0, 0.0, -500.0), line.now)
+    line.run(4.0, (0.0, 0.0, -500.0))
+    line.robot.switch(False, (0.0, 0.0, 0.0), line.now)
+    line.move(PLANNER.linear(line.robot.commanded, line.p0, Rotation.from_matrix(line.R0).as_quat(), 0.05))
+    line.run(6.0)
+    np.testing.assert_allclose(line.p, line.p0, atol=1e-6)
+    assert line.robot.expired == 0 and not line.robot.message
+
+
 def test_a_set_point_within_the_ramp_takes_the_force_up_again() -> None:
     line = Line()
     line.robot.switch(True, (0.0, 0.0, -500.0), line.now)

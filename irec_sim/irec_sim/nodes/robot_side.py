@@ -31,6 +31,7 @@ from .loop import SimulationLoop
 ARRIVAL_TIME = 0.15  # s that the servo is given to arrive at the end of the way: ten of its time constants
 FEEDBACK_PERIOD = 0.1  # s of simulated time
 FAULT_REASON = "the robot is in fault after a collision; the operator has to clear it"
+LEAVING = "the robot is leaving the contact by itself: no force set point or no move came in time"
 QUATERNION_TOLERANCE = 1e-3  # of the norm
 
 
@@ -81,7 +82,7 @@ class RobotSide:
 
     @property
     def retreating(self) -> bool:
-        """A force set point has run out and the robot is on its way out of the contact."""
+        """The robot is on its way out of the contact by itself."""
         return self._retreating or self.lease.ramping
 
     def before_step(self) -> None:
@@ -108,7 +109,7 @@ class RobotSide:
 
     def _watch_lease(self) -> None:
         try:
-            way_out = self.lease.step()
+            way_out = self.lease.step(self.in_motion)
         except SimError as error:
             self.retreat_message = f"{self.lease.reason}; but the way back is barred: {error}"
             return
@@ -169,7 +170,7 @@ class RobotSide:
         if self._cell.mode == RobotState.MODE_FAULT:
             raise SimError(FAULT_REASON)
         if self.retreating:
-            raise SimError("the robot is leaving the contact by itself: no force set point came in time")
+            raise SimError(LEAVING)
         if self._cell.mode != RobotState.MODE_POSITION:
             raise SimError("moves are refused in force control; switch to position control first")
         if self._running is not None:
@@ -213,16 +214,17 @@ class RobotSide:
 
         def switch() -> None:
             if self.retreating:
-                raise SimError("the robot is leaving the contact by itself: no force set point came in time")
+                raise SimError(LEAVING)
             if self._running is not None:
                 raise SimError("a move is under way; cancel it before switching the control mode")
             if request.mode == SetControlMode.Request.FORCE:
                 self._cell.control_force(_finite(force, "first set point"))
+                self.lease.renew()
             elif request.mode != SetControlMode.Request.POSITION:
                 raise SimError(f"control mode {request.mode} is not known; 0 is POSITION, 1 is FORCE")
             elif self._cell.mode != RobotState.MODE_POSITION:
                 self._cell.control_position()
-            self.lease.renew()
+                self.lease.left_force_control()
             self.retreat_message = ""
 
         response.force_lease = float(self.lease.settings.hold)
