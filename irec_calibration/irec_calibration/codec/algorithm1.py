@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..effects import Axes
 from ..errors import PlanError, SolveError
 from ..identification.bounded import solve_bounded_gram
 from ..identification.identify import fit, observe_with_force_noise
-from ..identification.noise import Whitening
 from ..identification.observe import Observation
 from ..identification.system import free_regressors, linearise
 from ..model import Term, total_displacement
@@ -47,6 +47,7 @@ class PoseData:
     A: derivative of the displacement by the scaled parameters, (N, R, 3, p), m; y: what they have to explain, (N, R, 3), m; zero
     in padding. seen: (N, R). gram, rhs: whitened normal equations of the rows that may train, (N, p, p) and (N, p).
     lower, upper, scale: of the parameters, (p,); physical value = scaled value * scale. names: effect.parameter.
+    compliance_of: axes of which each parameter is the compliance, None where it is something else, (p,).
     points: TCP in the cell frame (rail accounted for), (N, 3), m. poses: numbers in the session, (N,).
     sigma, sigma_reference: noise of each row and of the reference it shares, (N, R), m.
     """
@@ -60,6 +61,7 @@ class PoseData:
     upper: Array
     scale: Array
     names: tuple[str, ...]
+    compliance_of: tuple[Axes | None, ...]
     points: Array
     poses: IntArray
     sigma: Array
@@ -75,7 +77,7 @@ class Codec:
 
     E_mean, E_max: mean and maximum |residual| per axis of base_link on the verification poses, (n_cv, n_c, 3), m.
     norm_mean, norm_max: the same of the norm of the 3-vector, (n_cv, n_c), m.
-    C: identified parameters, physical units, (n_cv, n_c, p); names: effect.parameter.
+    C: identified parameters, physical units, (n_cv, n_c, p); names: effect.parameter. compliance_of: as in PoseData.
     verification: pose numbers, (n_cv, n_v). training: pose numbers in order of choice at the largest size, (n_cv, n_c).
     poses: number of poses of the session.
     floor_mean, floor_max: what a perfect model would leave of norm_mean and norm_max, from the instruments' noise, m.
@@ -88,6 +90,7 @@ class Codec:
     norm_max: Array
     C: Array
     names: tuple[str, ...]
+    compliance_of: tuple[Axes | None, ...]
     verification: IntArray
     training: IntArray
     poses: int
@@ -97,12 +100,12 @@ class Codec:
     @property
     def C_a(self) -> Array:
         """Compliances of the actuated joints, (n_cv, n_c, n_a), rad/(N m)."""
-        return self.C[:, :, [n.startswith("joint_torsion.") for n in self.names]]
+        return self.C[:, :, [a is Axes.ACTUATED for a in self.compliance_of]]
 
     @property
     def C_v(self) -> Array:
         """Compliances of the virtual joints, (n_cv, n_c, n_v), rad/(N m)."""
-        return self.C[:, :, [n.startswith("link_bending.") for n in self.names]]
+        return self.C[:, :, [a is Axes.VIRTUAL for a in self.compliance_of]]
 
 
 def pose_data(session: Session, terms: Sequence[Term], train_cases: Sequence[int] | None = None) -> PoseData:
@@ -130,7 +133,7 @@ def pose_data(session: Session, terms: Sequence[Term], train_cases: Sequence[int
         trains = np.isin(session.load_case[observation.rows], list(train_cases))
         if not trains.any():
             raise SolveError(f"{session.path or session.name}: no observed row has load case {list(train_cases)}")
-    whiten = _whitening_of(observation, trains)
+    whiten = observation.whiten.only(trains)
     A_white, y_white = whiten(A[trains]), whiten(y[trains])
 
     poses, index = np.unique(observation.pose, return_inverse=True)
@@ -158,16 +161,12 @@ def pose_data(session: Session, terms: Sequence[Term], train_cases: Sequence[int
         upper=system.upper,
         scale=system.scale,
         names=tuple(f"{fitted[i].effect.id}.{q.name}" for i, q in zip(system.owner, system.parameters, strict=True)),
+        compliance_of=tuple(fitted[i].effect.compliance_of for i in system.owner),
         points=_points_in_cell(session, observation)[[int(np.argmax(index == i)) for i in range(N)]],
         poses=poses,
         sigma=by_pose(observation.whiten.sigma),
         sigma_reference=by_pose(observation.whiten.sigma_reference),
     )
-
-
-def _whitening_of(observation: Observation, rows: BoolArray) -> Whitening:
-    w = observation.whiten
-    return w.only(rows)
 
 
 def _points_in_cell(session: Session, observation: Observation) -> Array:
@@ -250,6 +249,7 @@ def run_codec(
         norm_max=norm.max(axis=2),
         C=x * data.scale,
         names=data.names,
+        compliance_of=data.compliance_of,
         verification=data.poses[verification],
         training=data.poses[order],
         poses=N,

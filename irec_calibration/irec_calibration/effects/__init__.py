@@ -10,10 +10,12 @@ from __future__ import annotations
 from .base import Effect, Parameter, absent
 from .catalogue import CATALOGUE
 from .registry import broken_effects, find_effect, known_effects, register
-from .traits import Cause, Evidence, Family
+from .traits import Ageing, Axes, Cause, Evidence, Family
 
 __all__ = [
     "CATALOGUE",
+    "Ageing",
+    "Axes",
     "Cause",
     "Effect",
     "Evidence",

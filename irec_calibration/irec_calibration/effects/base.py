@@ -21,7 +21,7 @@ from ..session.data import Session
 from ..typing import Array, Json
 from .live import ByDisplacement, LeftOut, LiveForm, Refused
 from .scene import Scene
-from .traits import Cause, Evidence, Family
+from .traits import Ageing, Axes, Cause, Evidence, Family
 
 NOT_IN_PRODUCTION = ("time", "order", "step", "temperature")  # needs that a live correction can't meet in general
 
@@ -97,6 +97,7 @@ class Effect(ABC):
         completes: id of an effect that every robot has and whose form it completes: never named as a cause, but weighed beside it
             in every diagnosis, so that what it does passes for no other.
         obsolete: patterns of parameter names that models of an earlier form had; such a model is refused, not misread.
+        compliance_of: its parameters are the compliances of these axes; None: they are something else.
         chosen_by_poses: in an absolute session it gets, without values, those parameters that the poses determine.
     """
 
@@ -113,6 +114,7 @@ class Effect(ABC):
     family: ClassVar[Family | None] = None
     everywhere: ClassVar[bool] = False
     completes: ClassVar[str] = ""
+    compliance_of: ClassVar[Axes | None] = None
     chosen_by_poses: ClassVar[bool] = False
     obsolete: ClassVar[tuple[str, ...]] = ()
 
@@ -146,6 +148,10 @@ class Effect(ABC):
     def log_odds(self, scene: Scene) -> float:
         """How much more likely (less: negative) the effect is than others before a session is seen, natural log."""
         return 0.0
+
+    def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
+        """Changes of the robot over the years that its parameters describe, for a robot like that of a scene."""
+        return ()
 
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
         """For `acts_on = wrench`: the force and torque in tool0 that really act, (n, 3) each, N and N m."""

@@ -10,12 +10,13 @@ from .base import Effect, Parameter
 from .live import ColumnLaw, LiveForm, Tick, drives
 from .scales import rated_torque
 from .scene import Scene
-from .traits import Family
+from .traits import Ageing, Family
 
 AT_ONCE = 1e-3  # share of the rated torque below which the side on which the gear lies is not defined
 TAKEN_UP_OVER = (AT_ONCE, 0.004, 0.015)
 # Gear makers read lost motion at +-3 % of the rated torque. What is soft over a wider range is a spring: joint_stiffening.
 WIDEST = 0.03
+PLAY = 1.0e-4  # rad, of one gear, that a check over the years must find
 
 
 class JointBacklash(Effect):
@@ -46,6 +47,13 @@ class JointBacklash(Effect):
     def _columns(self, scene: Scene, share: float) -> Array:
         side = 0.5 * np.tanh((scene.tau + scene.tau_gravity) / (share * rated_torque(scene.robot)))
         return (scene.J * side[:, None, :])[:, :, scene.driven]
+
+    def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
+        return tuple(
+            Ageing(p.name, p.group + ": play of {:.0f} urad", 1e6 * PLAY, PLAY, "play", f"check the gear of {p.group} for play")
+            for p in self.parameters(scene)
+            if not p.grid
+        )
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Backlash(scene, theta)

@@ -11,9 +11,11 @@ from .base import Effect, Parameter
 from .live import LiveForm, Springs
 from .scales import softest, typical_compliance
 from .scene import Scene
-from .traits import Family
+from .traits import Ageing, Axes, Family
 
 PRIOR_WIDTH = 3.0  # multiples of the scale
+SOFTER = 0.10  # share of an axis' compliance that a check over the years must find
+MUCH_SOFTER = 3.0  # multiples of SOFTER: a gear that has lost more in a year is looked at before it is calibrated away
 
 
 class JointTorsion(Effect):
@@ -26,6 +28,7 @@ class JointTorsion(Effect):
     family = Family.SPRING
     everywhere = True
     elastic = True
+    compliance_of = Axes.ACTUATED
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale = typical_compliance(scene.robot)
@@ -46,6 +49,15 @@ class JointTorsion(Effect):
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         return deflection_per_compliance(scene.J, scene.load_torque())[:, :, scene.driven]
+
+    def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
+        return tuple(
+            Ageing(
+                p.name, p.group + ": {:.0f} % softer", 100 * SOFTER, SOFTER, "softer", f"check the gear of {p.group}",
+                relative=True, renewable=MUCH_SOFTER,
+            )
+            for p in self.parameters(scene)
+        )  # fmt: skip
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         columns = [f"joint_{k + 1}" for k in np.flatnonzero(scene.driven)]

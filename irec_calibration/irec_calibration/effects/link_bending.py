@@ -11,7 +11,7 @@ from .base import Effect, Parameter
 from .live import LiveForm, Springs
 from .scales import softest, typical_compliance
 from .scene import Scene
-from .traits import Family
+from .traits import Axes, Family
 
 # Links and bearings of heavy robots are 3 to 30 times stiffer across the axes 1-3 than about them, and 1 to 5 times across the
 # wrist's axes. These weak priors keep 18 free compliances from standing in for another cause.
@@ -30,6 +30,7 @@ class LinkBending(Effect):
     family = Family.SPRING
     everywhere = True
     elastic = True
+    compliance_of = Axes.VIRTUAL
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale = typical_compliance(scene.robot)

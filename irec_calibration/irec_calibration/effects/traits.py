@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 
 
@@ -50,3 +51,34 @@ class Family(StrEnum):
     ANGLE_ERROR = "joint angles and geometry"
     TIME = "time"
     INSTRUMENT = "measuring instrument"
+
+
+class Axes(StrEnum):
+    """Axes of which the parameters of an effect are the compliances, Eq. (11): C_a (actuated) or C_v (virtual) of the paper."""
+
+    ACTUATED = "actuated"
+    VIRTUAL = "virtual"
+
+
+@dataclass(frozen=True)
+class Ageing:
+    """A change of the robot over the years that one parameter describes, at the size at which a check must find it.
+
+    Attributes:
+        parameter: name of the parameter that grows.
+        words: in plain words with a place for the amount, e.g. `axis 3: {:.0f} % softer`. amount: at this size, in that unit.
+        size: growth of the parameter, in its unit; with `relative` a share of the value in force.
+        fault: in one or two words, e.g. `softer`.
+        look: what a person with tools looks at, e.g. `check the gear of axis 3`.
+        renewable: multiple of this size up to which a new calibration may take the change into account; beyond it, and always
+            where this is 0, somebody looks at the robot first.
+    """
+
+    parameter: str
+    words: str
+    amount: float
+    size: float
+    fault: str
+    look: str
+    relative: bool = False
+    renewable: float = 0.0

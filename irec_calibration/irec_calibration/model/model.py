@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..effects import Cause, Effect, Parameter, find_effect
+from ..effects import Axes, Cause, Effect, Parameter, find_effect
 from ..effects.scene import ElasticResponse, Scene
 from ..errors import ModelError
 from ..typing import Array, Json
@@ -168,6 +168,18 @@ def blank_model(effects: Sequence[str]) -> tuple[Term, ...]:
     return tuple(Term(find_effect(e)) for e in effects)
 
 
+def axis_compliances(terms: Sequence[Term], scene: Scene) -> dict[int, Estimate]:
+    """Compliances of actuated axes that are known singly, with their standard errors: joint (from 0) -> estimate."""
+    return {
+        p.axis: term.estimates[p.name]
+        for term in terms
+        if term.effect.compliance_of is Axes.ACTUATED
+        for p in term.effect.parameters(scene)
+        if p.axis is not None and p.name in term.estimates
+        if term.estimates[p.name].identified and math.isfinite(term.estimates[p.name].se)
+    }
+
+
 def apply_wrench_effects(terms: Sequence[Term], scene: Scene) -> Scene:
     """The scene under the wrench that really acts, by the model's sensor effects."""
     for term in terms:
@@ -260,9 +272,7 @@ def regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
     return out
 
 
-def _wrench_regressor(
-    terms: Sequence[Term], i: int, scene: Scene, parameters: Sequence[Parameter], theta: Array
-) -> Array:
+def _wrench_regressor(terms: Sequence[Term], i: int, scene: Scene, parameters: Sequence[Parameter], theta: Array) -> Array:
     out = np.empty((len(scene), 3, len(parameters)))
     for p, parameter in enumerate(parameters):
         h = 1e-2 * parameter.scale

@@ -12,14 +12,14 @@ from ..identification.identify import fit, identify, observe_with_force_noise
 from ..identification.observe import Observation
 from ..identification.provenance import model_of
 from ..identification.validation import rms
-from ..model import EIGHTEEN_DOF, Model, Term, blank_model, total_displacement
+from ..model import EIGHTEEN_DOF, Estimate, Model, Term, axis_compliances, blank_model, total_displacement
 from ..procedure.settings import Acceptance
 from ..session import Session
 from ..typing import Array, IntArray, Json
 from .quick_check import QuickResult, check, reference_of
 from .station import with_stations_found
+from .verdict import Kind, kind_of
 
-MUCH_SOFTER = 3.0  # multiples of 10 %: a gear that has lost more than that in a year is looked at before it is calibrated away
 MATTERS = 0.05  # share of the tolerance: an effect that is missing by less is left to the next model
 
 
@@ -54,6 +54,7 @@ class Judgement:
         held_out: pose numbers that were kept apart and judged. rms_new, rms_old: there, of the new model identified without them
             and of the one in force (NaN: none), m.
         noise_floor: m.
+        axes: compliances of actuated axes that are known singly, joint (from 0) -> estimate.
         change: test against the calibration in force; None where there is none.
         missing: what the diagnosis of this session names beyond the new model.
     """
@@ -66,6 +67,7 @@ class Judgement:
     rms_old: float
     noise_floor: float
     criteria: tuple[Criterion, ...]
+    axes: dict[int, Estimate]
     change: QuickResult | None
     missing: Missing = Missing()
 
@@ -137,14 +139,15 @@ def judge(
         change = check(reference_of(in_force.terms, before, tolerance), session)
     criteria = _criteria(session, acceptance, rms_new, floor)
     verdict, text = _verdict(criteria, change, in_force, rms_new, rms_old, acceptance)
-    return Judgement(verdict, text, model, held_out, rms_new, rms_old, floor, criteria, change)
+    axes = axis_compliances(model.terms, observation.scene)
+    return Judgement(verdict, text, model, held_out, rms_new, rms_old, floor, criteria, axes, change)
 
 
 def with_diagnosis(judgement: Judgement, missing: Missing, tolerance: float) -> Judgement:
     """The judgement after the diagnosis of the new session: an effect that matters and that is missing is to be looked at."""
     judgement = replace(judgement, missing=missing)
     if missing.status == "missing_effect" and missing.effects and missing.size_m > MATTERS * tolerance:
-        if judgement.verdict.startswith(("failed", "investigate")):
+        if kind_of(judgement.verdict) in (Kind.FAILED, Kind.INVESTIGATE):
             return judgement  # it says what to do now; the certificate has what the diagnosis says
         name = missing.effects[0]
         what = ", ".join([name, *missing.parts.get(name, ())])
@@ -225,22 +228,16 @@ def _verdict(
 
 def _where_to_look(change: QuickResult) -> str:
     """What a person with a spanner looks at."""
-    out = []
-    for effect, part in (change.named[n] for n in change.like[:3]):
-        if effect == "base_compliance":
-            out.append("check the bolts of the base, the pedestal and the floor")
-        else:
-            out.append(f"check the gear of {part}" + (" for play" if effect == "joint_backlash" else ""))
-    return ", ".join(dict.fromkeys(out))
+    return ", ".join(dict.fromkeys(change.named[n].ageing.look for n in change.like[:3]))
 
 
 def _looked_at(change: QuickResult) -> list[str]:
-    """What may be broken: anything but one axis that has become a little softer."""
+    """What may be broken: what a new calibration must not take into account before somebody has looked."""
     out = []
     for name in change.like[:3]:
-        effect, part = change.named[name]
-        if effect != "joint_torsion":
-            out.append(f"{effect}, {part}" if part.startswith("axis") else effect)
-        elif change.size[name] > MUCH_SOFTER:
-            out.append(f"{part}: {10 * change.size[name]:.0f} % softer")
+        cause = change.named[name]
+        if not cause.ageing.renewable:
+            out.append(f"{cause.effect}, {cause.part}" if cause.part else cause.effect)
+        elif change.size[name] > cause.ageing.renewable:
+            out.append(change.words[name])
     return list(dict.fromkeys(out))

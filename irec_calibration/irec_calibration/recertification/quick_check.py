@@ -80,7 +80,7 @@ class QuickResult:
         ratio: change -> likelihood ratio at the size at which it must be found.
         size: change -> most likely size, in multiples of that in `changes`.
         like: changes that the data look like, most likely first (only where changed).
-        named: change -> effect and part that describe it. words: change -> in plain words at its most likely size.
+        named: change -> all about it. words: change -> in plain words at its most likely size.
         poses: how many poses took part. text: for the person at the cell.
     """
 
@@ -91,7 +91,7 @@ class QuickResult:
     like: tuple[str, ...]
     poses: int
     text: str
-    named: dict[str, tuple[str, str]]
+    named: dict[str, Change]
     words: dict[str, str]
 
 
@@ -181,7 +181,7 @@ def _decide(looked_for: Sequence[Change], least: Array, z: Array, information: A
     ratio = {c.name: float(np.exp(min(r[0], 700.0))) for c, r in zip(looked_for, log_ratio, strict=True)}
     found = np.clip(np.divide(z, information, out=np.zeros_like(z), where=information > 0), 0.0, None) * least
     size = {c.name: float(f) for c, f in zip(looked_for, found, strict=True)}
-    named = {c.name: (c.effect, c.part) for c in looked_for}
+    named = {c.name: c for c in looked_for}
     words = {c.name: c.text(size[c.name]) for c in looked_for}
     by_change = logsumexp(log_ratio, axis=1)
     order = np.argsort(-by_change)

@@ -73,7 +73,7 @@ def plan(reference: Reference) -> QuickPlan:
     return QuickPlan(
         tuple(int(reference.observation.poses[i]) for i in order), seen, sizes, moved,
         tuple(c.text(sizes[c.name]) for c in reference.changes),
-        tuple(never_shown(reference.changes, reference.observation.scene.n_joints)),
+        tuple(never_shown(reference.changes, reference.terms, reference.observation.scene)),
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..effects.scene import scene_of
 from ..errors import IrecError
+from ..model import Estimate, axis_compliances
 from ..model.file import load_model
 from ..session import read_session
 from .store import Store
@@ -21,7 +22,7 @@ class TrendPoint:
     Attributes:
         calibration: its number in the store; at: ISO date. verdict: of the run that made it.
         deflection_m: mean norm of the predicted deflection of the tool over the rows of the oldest session, m.
-        compliance: axis -> (value, standard error), rad/(N m); only axes that are known singly.
+        compliance: joint (from 0) -> estimate, rad/(N m); only axes that are known singly.
         held_out_rms_m: error on poses that its fit had not seen, m; NaN where none was recorded.
         in_force: it is the one now.
     """
@@ -30,7 +31,7 @@ class TrendPoint:
     at: str
     verdict: str
     deflection_m: float
-    compliance: dict[str, tuple[float, float]]
+    compliance: dict[int, Estimate]
     held_out_rms_m: float
     in_force: bool
 
@@ -52,8 +53,7 @@ def trend(store: Store) -> tuple[TrendPoint, ...]:
             moved = np.linalg.norm(model.predict(scene), axis=1) if scene is not None else np.array([np.nan])
         except IrecError:
             continue
-        torsion = [t for t in model.terms if t.effect.id == "joint_torsion"]
-        known = {n: (e.value, e.se) for t in torsion for n, e in t.estimates.items() if e.identified and np.isfinite(e.se)}
+        known = axis_compliances(model.terms, scene) if scene is not None else {}
         loaded = moved[moved > 0.0] if np.isfinite(moved).all() else moved
         out.append(
             TrendPoint(

@@ -106,10 +106,10 @@ def draw_trend(axes: Any, points: Sequence[TrendPoint]) -> None:
     left.set_ylim(0.0, 1.15e3 * max(p.deflection_m for p in points))
     left.legend(frameon=False, fontsize=7, loc="lower right")
     for k, axis in enumerate(sorted({n for p in points for n in p.compliance})):
-        at = [(i, *p.compliance[axis]) for i, p in enumerate(points) if axis in p.compliance]
+        at = [(i, p.compliance[axis].value, p.compliance[axis].se) for i, p in enumerate(points) if axis in p.compliance]
         x, y, se = zip(*at, strict=True)
         offset = [v + 0.03 * (k - 2) for v in x]
-        right.errorbar(offset, [1e6 * v for v in y], [2e6 * v for v in se], fmt="o-", ms=3, capsize=2, label=f"axis {axis[2:]}")
+        right.errorbar(offset, [1e6 * v for v in y], [2e6 * v for v in se], fmt="o-", ms=3, capsize=2, label=f"axis {axis + 1}")
     right.set_ylabel("compliance, urad/(N m)\n(bars: 2 std. errors)")
     right.margins(y=0.15)
     right.set_ylim(bottom=0.0)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from ..diagnose.improve import Ladder
 from ..diagnose.result import Diagnosis, Measurement
 from ..lengths import length
+from ..model import EIGHTEEN_DOF, GEOMETRIC
 
 Step = tuple[str, str]  # sentence, command or ""
 WIDTH = 100
@@ -49,16 +50,6 @@ def after_diagnosis(d: Diagnosis, session: str, model: str = "") -> list[Step]:
                 f"irec workbench {s}" + (f" {shlex.quote(model)}" if model else ""),
             )
         )
-        proposals = getattr(d, "proposals", ()) or ()
-        for p in list(proposals)[:1]:
-            formula = p["formula"] if isinstance(p, dict) else getattr(p, "formula", "")
-            if formula:
-                steps.append(
-                    (
-                        "Or begin with the best proposal:",
-                        f"irec add {shlex.quote(model or 'model.yaml')} {shlex.quote(formula)} {s} -o model2.yaml",
-                    )
-                )
     elif model:
         steps.append(
             (
@@ -74,10 +65,7 @@ def after_diagnosis(d: Diagnosis, session: str, model: str = "") -> list[Step]:
 
 
 def _solve(d: Diagnosis, session: str) -> str:
-    effects = ",".join(d.model.effects)
-    terms = (
-        "" if effects in ("joint_torsion,link_bending", "station_pose,marker_position,geometry_error") else f" --terms {effects}"
-    )
+    terms = "" if d.model.effects in (EIGHTEEN_DOF, GEOMETRIC) else f" --terms {','.join(d.model.effects)}"
     return f"irec solve {session}{terms} -o model.yaml"
 
 

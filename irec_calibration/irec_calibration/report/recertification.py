@@ -103,13 +103,7 @@ def _full_rows(outcome: Outcome, tolerance: float) -> list[tuple[str, str]]:
         ("What is asked of it", "; ".join(f"{c.text}: {'met' if c.holds else 'NOT met'}" for c in j.criteria)),
         ("What it describes", ", ".join(f"{t.effect.label} ({t.effect.id})" for t in j.model.terms)),
     ]
-    torsion = [t for t in j.model.terms if t.effect.id == "joint_torsion"]
-    known = [
-        f"axis {n.rpartition('_')[2]}: {um * e.value:.2f} +- {2 * um * e.se:.2f}"
-        for t in torsion
-        for n, e in t.estimates.items()
-        if e.identified and np.isfinite(e.se)
-    ]
+    known = [f"axis {k + 1}: {um * e.value:.2f} +- {2 * um * e.se:.2f}" for k, e in j.axes.items()]
     if known:
         rows.append(("How far single axes give way", f"{'; '.join(known)} urad for each N m (+- 2 standard errors)"))
     if j.missing.status == "missing_effect":

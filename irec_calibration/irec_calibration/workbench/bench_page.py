@@ -193,9 +193,14 @@ class BenchPage:
         self.refresh()
         self._focus("formula")
 
-    def move(self, how: str) -> None:
-        """Undo or redo."""
-        getattr(self.room, how)()
+    def undo(self) -> None:
+        """Use the version before the last step."""
+        self.room.undo()
+        self.refresh()
+
+    def redo(self) -> None:
+        """Take the last step again."""
+        self.room.redo()
         self.refresh()
 
     def go_to(self, index: int) -> None:
@@ -284,7 +289,7 @@ class BenchPage:
             return
         name, control = event.key.name, event.modifiers.ctrl or event.modifiers.meta
         if control and name in ("z", "y"):
-            self.move("undo" if name == "z" else "redo")
+            self.undo() if name == "z" else self.redo()
         elif control or event.modifiers.alt:
             return
         elif name == "k" and self.room.tried is not None:

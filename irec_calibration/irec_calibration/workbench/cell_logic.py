@@ -11,6 +11,7 @@ from typing import Any
 from ..errors import IrecError
 from ..recertification.journal import Entry
 from ..recertification.readings import MANNED
+from ..recertification.verdict import Kind, kind_of
 
 GREEN, AMBER, RED, GREY = "green", "amber", "red", "grey"
 MEANING = {GREEN: "GOOD", AMBER: "LOOK AT IT", RED: "NOT GOOD", GREY: "UNKNOWN"}
@@ -38,16 +39,16 @@ class Light:
 
 def light_of(result: Mapping[str, Any]) -> Light:
     """The answer of a recertification (fields of the action's result) as a traffic light."""
-    verdict, text = str(result.get("verdict") or ""), str(result.get("text") or "")
+    kind, text = kind_of(str(result.get("verdict") or "")), str(result.get("text") or "")
     sentence, now = _now_apart(text or "No answer.")
     if not result.get("success"):
         return Light(GREY, sentence, now or "Do this now: mend what it says, then try again.")
-    if verdict.startswith("pass"):
+    if kind is Kind.PASS:
         return Light(GREEN, sentence, now or "Do this now: nothing. Go on working.")
-    if verdict.startswith("recalibrated"):
+    if kind is Kind.RECALIBRATED:
         colour = GREEN if result.get("activated") else AMBER
         return Light(colour, sentence, now or "Do this now: check one part at reduced speed.")
-    if verdict.startswith("investigate"):
+    if kind is Kind.INVESTIGATE:
         return Light(AMBER, sentence, now or "Do this now: show this page to the person in charge.")
     return Light(RED, sentence, now or "Do this now: show this page to the person in charge.")
 

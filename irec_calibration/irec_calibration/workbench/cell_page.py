@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -48,9 +48,9 @@ class CellPage:
             self.bar = ui.linear_progress(0.0, show_value=False).props("size=24px")
             columns = "display: grid; gap: .8rem; width: 100%; margin-top: .8rem; grid-template-columns: repeat"
             with ui.element("div").style(f"{columns}(3, 1fr)") as self.during:
-                for text, call in (("Pause", "pause"), ("Resume", "resume"), ("Stop", "stop")):
-                    button = ui.button(text, on_click=lambda _, c=call: self._run(self._request(c))).style(LARGE)
-                    button.props(f'no-caps outline data-testid="{call}"')
+                self._button_of_run("Pause", "pause", lambda: self.link.pause())
+                self._button_of_run("Resume", "resume", lambda: self.link.resume())
+                self._button_of_run("Stop", "stop", lambda: self.link.stop())
             with ui.element("div").style(f"{columns}(2, 1fr)"):
                 ready = self.link is not None
                 self._large("Check", "check", lambda: self._ask("The robot will check a few poses.", check_only=True), ready)
@@ -117,8 +117,13 @@ class CellPage:
         self.certificate = str(result.get("certificate_path") or "")
         self._show.refresh(light_of(result))
 
-    async def _request(self, call: str) -> None:
-        words = await getattr(self.link, call)()
+    def _button_of_run(self, text: str, name: str, ask: Callable[[], Awaitable[str]]) -> None:
+        """A button for a run that is under way."""
+        button = ui.button(text, on_click=lambda: self._run(self._request(ask))).style(LARGE)
+        button.props(f'no-caps outline data-testid="{name}"')
+
+    async def _request(self, ask: Callable[[], Awaitable[str]]) -> None:
+        words = await ask()
         self._show.refresh(Light(GREY, words, "Do this now: stay outside the area of the robot."))
 
     def _go_back(self) -> None:

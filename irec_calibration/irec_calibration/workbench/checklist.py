@@ -20,7 +20,7 @@ FEWEST_POSES = 5
 
 
 def checklist(path: str) -> list[tuple[str, str]]:
-    """What a folder or recording holds and lacks, and what its reader says of it."""
+    """What a folder or recording holds (`ok`) and lacks (`note`), what is `lost`, what keeps it from being used (`bad`)."""
     out: list[tuple[str, str]] = []
     place = Path(path)
     if place.suffix == ".mcap" or (place.is_dir() and any(place.glob("*.mcap"))):
@@ -28,7 +28,7 @@ def checklist(path: str) -> list[tuple[str, str]]:
         out += (
             [("ok", x) for x in found.present]
             + [("note", f"lacks {x}") for x in found.lacking]
-            + [("bad", x) for x in found.losses]
+            + [("lost", x) for x in found.losses]
         )
     try:
         session = read_session(place)

@@ -58,13 +58,16 @@ class Desk:
         self._courses: dict[str, Course | None] = {}
         self._trials: dict[tuple[str, str, str], Attempt] = {}
 
+    def ready(self, progress: Progress, cancelled: Cancelled) -> None:
+        """Nothing: answers as soon as the process has started."""
+
     def view(self, session: str, progress: Progress, cancelled: Cancelled) -> SessionView:
         """What there is to draw of a session."""
         progress(0.1, "reading the session")
         return view_of(self._session(session))
 
     def inspect(self, path: str, progress: Progress, cancelled: Cancelled) -> list[tuple[str, str]]:
-        """A checklist of a folder or recording: (`ok`, `note` or `bad`, what it is)."""
+        """A checklist of a folder or recording: (`ok`, `note`, `lost` or `bad`, what it is)."""
         progress(0.1, "looking at what is there")
         return checklist(path)
 

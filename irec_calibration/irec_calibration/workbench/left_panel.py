@@ -43,12 +43,8 @@ class LeftPanel:
         with ui.element("div").classes("rowline"):
             ui.html(f"<h2>Model, version {room.versions.index + 1}</h2>", sanitize=False)
             ui.element("div").classes("grow")
-            undo = (
-                ui.button("Undo", on_click=lambda: self.page.move("undo")).props("dense flat no-caps").props('data-testid="undo"')
-            )
-            redo = (
-                ui.button("Redo", on_click=lambda: self.page.move("redo")).props("dense flat no-caps").props('data-testid="redo"')
-            )
+            undo = ui.button("Undo", on_click=self.page.undo).props("dense flat no-caps").props('data-testid="undo"')
+            redo = ui.button("Redo", on_click=self.page.redo).props("dense flat no-caps").props('data-testid="redo"')
             undo.set_enabled(room.versions.can_undo)
             redo.set_enabled(room.versions.can_redo)
         v = room.current

@@ -13,12 +13,13 @@ from nicegui import background_tasks, ui
 
 from ..errors import IrecError
 from .app import Settings
+from .desk import Desk
 from .versions import Past
 from .worker import Stock, Worker
 
 LARGEST_UPLOAD = 2_000_000_000  # bytes
-MARKS = {"ok": "✓", "note": "•", "bad": "✗"}
-WORDS = {"ok": "present", "note": "note", "bad": "wrong"}
+MARKS = {"ok": "✓", "note": "•", "lost": "✗", "bad": "✗"}
+WORDS = {"ok": "present", "note": "note", "lost": "lost", "bad": "wrong"}
 
 
 class OpenPage:
@@ -73,13 +74,13 @@ class OpenPage:
         self._show([("note", f"looking at {path} …")], "")
         worker = Worker(self.stock)
         try:
-            found: list[tuple[str, str]] = await worker.call("inspect", path)
+            found: list[tuple[str, str]] = await worker.call(Desk.inspect, path)
         except IrecError as error:
             found = [("bad", str(error))]
         finally:
             worker.rest()
             worker.close()
-        self._show(found, "" if any(kind == "bad" and "lost" not in text for kind, text in found) else path)
+        self._show(found, "" if any(kind == "bad" for kind, _ in found) else path)
 
     async def _received(self, event: Any) -> None:
         folder = Path(tempfile.mkdtemp(prefix="irec-dropped-"))
@@ -101,7 +102,7 @@ class OpenPage:
             .props('aria-live="polite"')
         ):
             for kind, text in items:
-                with ui.element("li").classes("error" if kind == "bad" else "words"):
+                with ui.element("li").classes("error" if kind in ("lost", "bad") else "words"):
                     ui.label(f"{MARKS[kind]} {text}").classes("words").props(f'title="{WORDS[kind]}"')
         if ready:
             ui.button("Open it", on_click=lambda: self._open(ready)).props("no-caps unelevated").props('data-testid="open"')

@@ -18,7 +18,7 @@ import yaml
 
 from ..errors import Cancelled, IrecError
 from ..typing import Array, BoolArray, IntArray
-from .desk import changed, free_path
+from .desk import Desk, changed, free_path
 from .plain import Codecs, CourseView, SessionView, Tried, Version
 from .versions import Past, Versions
 from .worker import Stock, Worker
@@ -92,13 +92,13 @@ class Room:
 
     async def open(self, past: Past | None = None) -> None:
         """Read the session and fit the first version, or take up earlier work."""
-        self.view = await self.quick.call("view", self.session, progress=self._progress)
+        self.view = await self.quick.call(Desk.view, self.session, progress=self._progress)
         if past is not None:
             kept = [await self._described(model, name) for name, model in past.versions]
             self.versions.replace_all(kept, past.current)
         else:
             self.versions.keep(
-                await self.quick.call("start", self.session, self.first_model, str(self.folder), progress=self._progress)
+                await self.quick.call(Desk.start, self.session, self.first_model, str(self.folder), progress=self._progress)
             )
         self._notify()
 
@@ -108,12 +108,12 @@ class Room:
         mine = self._attempt
         model = self.current.model
         self.doing = f"trying {text}"
-        quick = await self.quick.call("quick", self.session, model, text)
+        quick = await self.quick.call(Desk.quick, self.session, model, text)
         if mine != self._attempt:
             return
         self.tried = quick
         self._notify()
-        exact = await self.quick.call("exact", self.session, model, text, str(self.folder), progress=self._progress)
+        exact = await self.quick.call(Desk.exact, self.session, model, text, str(self.folder), progress=self._progress)
         if mine == self._attempt and model == self.current.model:
             self.tried = exact
             self._notify()
@@ -134,7 +134,7 @@ class Room:
     async def switch_off(self, effect: str) -> None:
         """Take an effect out of the version in use and refit; a new version."""
         version = await self.quick.call(
-            "without", self.session, self.current.model, effect, str(self.folder), progress=self._progress
+            Desk.without, self.session, self.current.model, effect, str(self.folder), progress=self._progress
         )
         self.versions.keep(version)
         self.discard()
@@ -157,8 +157,9 @@ class Room:
         key = fingerprint(self.session, model)
         known = self.shared.diagnoses.get(key)
         if known is None:
-            known = await self.long.call("diagnosis", self.session, model, progress=self._progress)
-            self.shared.remember(key, known)
+            made = await self.long.call(Desk.diagnosis, self.session, model, progress=self._progress)
+            self.shared.remember(key, made)
+            known = made
         self.diagnosis = known
         self.diagnosed = model
         self.doing = ""
@@ -168,7 +169,7 @@ class Room:
         """Growth of accuracy of the first version and the one in use."""
         first, now = self.versions.all[0], self.current
         pair = [(first.name, first.model)] + ([(now.name, now.model)] if now is not first else [])
-        self.codecs = await self.long.call("codec", self.session, pair, progress=self._progress)
+        self.codecs = await self.long.call(Desk.codec, self.session, pair, progress=self._progress)
         self.doing = ""
         self._notify()
 
@@ -178,7 +179,7 @@ class Room:
             return
         first, now = self.versions.all[0].model, self.current.model
         try:
-            course = await self.quick.call("course", self.session, self.cell, first, now)
+            course = await self.quick.call(Desk.course, self.session, self.cell, first, now)
         except Cancelled:
             return
         except IrecError as error:
@@ -191,7 +192,7 @@ class Room:
     async def report(self, folder: str) -> list[str]:
         """Write the report of the version in use into a new folder below `folder`; the page first."""
         target = free_folder(Path(folder), f"report-{Path(self.session).stem}")
-        files = await self.long.call("report", self.session, self.current.model, str(target), progress=self._progress)
+        files = await self.long.call(Desk.report, self.session, self.current.model, str(target), progress=self._progress)
         self.doing = ""
         self._notify()
         return list(files) or [str(target)]
@@ -219,7 +220,7 @@ class Room:
     async def grown(self) -> bool:
         """Read the session again where its file has grown, and fit the version in use to it; whether it had."""
         assert self.view is not None
-        view = await self.quick.call("view", self.session)
+        view = await self.quick.call(Desk.view, self.session)
         if len(view.pose) == len(self.view.pose):
             return False
         at = self.versions.index
@@ -267,7 +268,7 @@ class Room:
         self.long.close()
 
     async def _described(self, model: str, name: str) -> Version:
-        version: Version = await self.quick.call("describe", self.session, model, name, progress=self._progress)
+        version: Version = await self.quick.call(Desk.describe, self.session, model, name, progress=self._progress)
         return version
 
     def _progress(self, share: float, what: str) -> None:

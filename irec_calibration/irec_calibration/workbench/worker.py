@@ -13,13 +13,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
-from typing import Any
+from typing import Any, TypeVar
 
 from ..errors import Cancelled, IrecError
+from .desk import Desk
 
 PATIENCE = 2.0  # s that a worker has to notice a cancel before it is ended
 POLL = 0.05  # s
 Progress = Callable[[float, str], None]
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,11 @@ class Worker:
     def busy(self) -> bool:
         return self._busy
 
-    async def call(self, task: str, *arguments: Any, progress: Progress | None = None) -> Any:
+    async def call(self, task: Callable[..., Answer], *arguments: Any, progress: Progress | None = None) -> Answer:
         """Run one method of the desk.
+
+        Args:
+            task: method of `Desk`, e.g. `Desk.view`. arguments: without `progress` and `cancelled`, which the process adds.
 
         Raises:
             Cancelled: `cancel` was called. IrecError: what the computation says is wrong, or that its process died.
@@ -119,7 +124,8 @@ class Worker:
                     self._running = await asyncio.to_thread(self._stock.take)
                 self._running.stop.clear()
                 self._running.pipe.send((task, arguments))
-                return await self._answer(self._running, progress)
+                answer: Answer = await self._answer(self._running, progress)
+                return answer
             except (EOFError, BrokenPipeError, ConnectionResetError) as error:
                 self._end()
                 raise IrecError("the computation's process ended unexpectedly; try again") from error
@@ -163,7 +169,7 @@ class Worker:
 
     async def warm(self) -> None:
         """Start the process ahead of the first computation."""
-        await self.call("ready")
+        await self.call(Desk.ready)
 
     def close(self) -> None:
         """End the process."""
@@ -182,8 +188,6 @@ def _work(pipe: Connection, stop: Event, effect_files: tuple[str, ...]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this one
 
     try:
-        from .desk import Desk
-
         desk = Desk(effect_files)
     except IrecError as error:
         pipe.send(("error", str(error)))
@@ -206,10 +210,7 @@ def _work(pipe: Connection, stop: Event, effect_files: tuple[str, ...]) -> None:
         except (EOFError, OSError):
             return  # the server is gone
         try:
-            if task == "ready":
-                pipe.send(("done", None))
-                continue
-            pipe.send(("done", getattr(desk, task)(*arguments, progress, stop.is_set)))
+            pipe.send(("done", task(desk, *arguments, progress, stop.is_set)))
         except Cancelled as error:
             pipe.send(("cancelled", str(error)))
         except IrecError as error:

@@ -221,7 +221,7 @@ def test_a_worker_says_what_is_wrong_and_goes_on():
         worker = Worker()
         try:
             with pytest.raises(IrecError, match="no such file"):
-                await worker.call("view", "/nowhere")
+                await worker.call(Desk.view, "/nowhere")
             await worker.warm()
         finally:
             worker.close()
@@ -234,13 +234,13 @@ def test_a_long_computation_can_be_cancelled_and_the_worker_works_on(hidden_sess
     async def story():
         worker = Worker()
         try:
-            first = await worker.call("start", str(hidden_session), "", str(tmp_path))
-            task = asyncio.create_task(worker.call("diagnosis", str(hidden_session), first.model, progress=quiet))
+            first = await worker.call(Desk.start, str(hidden_session), "", str(tmp_path))
+            task = asyncio.create_task(worker.call(Desk.diagnosis, str(hidden_session), first.model, progress=quiet))
             await asyncio.sleep(0.5)
             worker.cancel()
             with pytest.raises(Cancelled):
                 await asyncio.wait_for(task, 30.0)
-            again = await worker.call("describe", str(hidden_session), first.model, "again")
+            again = await worker.call(Desk.describe, str(hidden_session), first.model, "again")
             assert again.cv_rms_m == pytest.approx(first.cv_rms_m, rel=1e-3)
         finally:
             worker.close()
@@ -254,7 +254,7 @@ def test_a_worker_that_dies_is_reported_and_replaced(hidden_session):
         worker = Worker()
         try:
             await worker.warm()
-            task = asyncio.create_task(worker.call("diagnosis", str(hidden_session), "/nowhere.yaml", progress=quiet))
+            task = asyncio.create_task(worker.call(Desk.diagnosis, str(hidden_session), "/nowhere.yaml", progress=quiet))
             await asyncio.sleep(0)
             worker._running.process.kill()
             with pytest.raises(IrecError):

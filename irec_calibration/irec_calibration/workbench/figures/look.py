@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...model import EIGHTEEN_DOF, GEOMETRIC
 from ...typing import Array
 from ..plain import SessionView, Version
 
@@ -81,6 +82,5 @@ def um(metres: float) -> float | None:
 
 
 def short(name: str) -> str:
-    return name.replace("joint_torsion + link_bending", "18 DOF").replace(
-        "station_pose + marker_position + geometry_error", "geometric"
-    )
+    """The name of a version with the usual models abbreviated."""
+    return name.replace(" + ".join(EIGHTEEN_DOF), "18 DOF").replace(" + ".join(GEOMETRIC), "geometric")
