@@ -6,7 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from irec_calibration.effects.scene import Scene, scene_of
+from irec_calibration.effects.of_session import scene_of
+from irec_calibration.effects.scene import Scene
 from irec_calibration.robot import Robot
 from irec_calibration.session import Marker, Noise, Session, Station
 

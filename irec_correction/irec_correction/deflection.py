@@ -24,7 +24,8 @@ from irec_calibration.effects.live import (
     Tick,
 )
 from irec_calibration.effects.production import LOADED, POINTS, production_scene
-from irec_calibration.effects.scene import ElasticResponse, Scene
+from irec_calibration.effects.scene import Scene
+from irec_calibration.effects.state import ElasticResponse
 from irec_calibration.model import Model, Term
 from irec_calibration.robot import Payload, Robot, parent_joint
 from irec_calibration.typing import Array

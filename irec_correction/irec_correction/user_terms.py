@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 from irec_calibration.effects import Effect
 from irec_calibration.effects.production import LOADED, ROWS, at
-from irec_calibration.effects.scene import ElasticResponse, Scene
+from irec_calibration.effects.scene import Scene
+from irec_calibration.effects.state import ElasticResponse
 from irec_calibration.typing import Array
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_calibration.effects import CATALOGUE, Cause, Effect, Parameter
-from irec_calibration.effects.scene import scene_of
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.model import Estimate, Model, Term
 from irec_calibration.robot import Payload
 from irec_calibration.session import Marker, Noise, Session, Station

@@ -73,7 +73,7 @@ async def _session(poses: int, folder: Path, every: bool) -> float:
 
 
 def _scene(path: str):
-    from irec_calibration.effects.scene import scene_of
+    from irec_calibration.effects.of_session import scene_of
     from irec_calibration.session import read_session
 
     if path not in _SCENES:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from irec_calibration.cell import read_cell
 from irec_calibration.cli import main as irec
-from irec_calibration.effects.scene import scene_of
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.model.file import load_model
 from irec_calibration.poses.course import course_of
 from irec_calibration.report.models import course as course_figure

@@ -151,7 +151,7 @@ def targets() -> tuple[Target, ...]:
     from irec_calibration.cell.cell import MeshSurface
     from irec_calibration.commands.check import check_file
     from irec_calibration.effects.formula import FormulaEffect
-    from irec_calibration.effects.scene import scene_of
+    from irec_calibration.effects.of_session import scene_of
     from irec_calibration.errors import RobotError
     from irec_calibration.files.regular import URDF_LIMIT, read_text
     from irec_calibration.model.file import load_model

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..effects.scene import scene_of
+from ..effects.of_session import scene_of
 from ..model.file import check_belongs, load_model
 from ..session import read_session
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..effects.scene import Scene, marker_by_controller, scene_of
+from ..effects.of_session import marker_by_controller, scene_of
+from ..effects.scene import Scene
 from ..identification.noise import position_sigma
 from ..model import Term, total_displacement
 from ..session.data import Session

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.scene import scene_of
+from ..effects.of_session import scene_of
 from ..model import Model, regressors
 from ..poses.course import Course
 from ..typing import Array

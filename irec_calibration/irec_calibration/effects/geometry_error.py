@@ -75,7 +75,7 @@ class GeometryError(Effect):
             twist[:, :, k, :3] = R
             twist[:, :, k, 3:] = R @ by_w
             p = self._moved(scene, k, p, t, w)
-        axis, virtual, prismatic = scene.axis_in_joint, scene.kin.virtual_in_joint, scene.kin.is_prismatic
+        axis, virtual, prismatic = scene.arm.axis_in_joint, scene.kin.virtual_in_joint, scene.kin.is_prismatic
         out = np.empty((n, 3, nk, 6))
         out[..., 1:4] = twist[..., :3]
         along = np.where(prismatic[None, None, :, None], twist[..., :3], twist[..., 3:])
@@ -94,7 +94,7 @@ class GeometryError(Effect):
             zero = follow.mean(axis=0) @ zero
         out = []
         for k in range(scene.n_joints):
-            axis, (a, b) = scene.axis_in_joint[k], scene.kin.virtual_in_joint[k]
+            axis, (a, b) = scene.arm.axis_in_joint[k], scene.kin.virtual_in_joint[k]
             along = axis * zero[k]
             t, w = by_joint[k, 1:4].copy(), by_joint[k, 4] * a + by_joint[k, 5] * b
             if scene.kin.is_prismatic[k]:
@@ -122,4 +122,4 @@ class GeometryError(Effect):
 
 def _following(scene: Scene) -> Array | None:
     """How joints follow a zero offset: a coupled joint those that drive it, and its own, (n, k, k)."""
-    return None if scene.coupling is None else scene.coupling + np.diag((~scene.driven).astype(float))
+    return None if scene.arm.coupling is None else scene.arm.coupling + np.diag((~scene.driven).astype(float))

@@ -26,7 +26,7 @@ class MarkerOffset(Effect):
     needs_elastic = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        if not all(scene.marker_known):  # an unknown marker is free already: marker_position
+        if not all(scene.instruments.marker_known):  # an unknown marker is free already: marker_position
             return ()
         return tuple(Parameter(f"d_{a}", "m", 0.01, -0.5, 0.5, plausible=(-0.3, 0.3)) for a in AXES)
 

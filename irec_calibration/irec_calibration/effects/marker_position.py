@@ -29,17 +29,17 @@ class MarkerPosition(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(
             Parameter(f"{a}_{name}", "m", 1e-3, group=f"marker {name}", flat=True)
-            for name, known in zip(scene.markers, scene.marker_known, strict=True)
+            for name, known in zip(scene.instruments.markers, scene.instruments.marker_known, strict=True)
             if scene.kind == "absolute" and not known
             for a in AXES
         )
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        unknown = [i for i, known in enumerate(scene.marker_known) if not known]
+        unknown = [i for i, known in enumerate(scene.instruments.marker_known) if not known]
         if scene.measured_from_station is None or not len(theta):
             return np.zeros((len(scene), 3, len(theta)))
         frame = np.where(scene.moves_with_arm[:, None, None], scene.kin.R_tool, np.eye(3))
-        return np.concatenate([frame * (scene.marker == i)[:, None, None] for i in unknown], axis=2)
+        return np.concatenate([frame * (scene.instruments.marker == i)[:, None, None] for i in unknown], axis=2)
 
     def placed(self, session: Session, values: dict[str, float]) -> Json:
         out: Json = {}

@@ -22,7 +22,7 @@ def at(scene: Scene, q: Array, rail_position: float) -> Scene:
     rows = np.tile(q, (ROWS, 1))
     kin = scene.robot.kinematics(rows)
     arm = replace(scene.arm, q=rows, kin=kin, p_tcp=kin.p_tcp)
-    tau_gravity = scene.robot.gravity_torque(rows, scene.gravity_in_base, scene.payload)
+    tau_gravity = scene.robot.gravity_torque(rows, scene.gravity_in_base, scene.gravity.payload)
     there = scene.at(arm, kin.p_tcp + np.tile(POINTS, (2, 1)), tau_gravity)
     return replace(there, ext={name: np.full(ROWS, rail_position) for name in scene.ext})
 

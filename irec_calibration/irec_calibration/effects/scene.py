@@ -8,33 +8,15 @@ TCP and has no measured positions at all, so a prediction can't read marker colu
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ..robot import Kinematics, Payload, Robot
-from ..robot.coupled import coupling
-from ..session.data import Session
-from ..session.registration import level_gravity, registered
+from ..robot import Kinematics, Robot
 from ..typing import Array, BoolArray, IntArray
-from .state import Arm, Gravity, Instruments, Load, Rows, View
-
-
-@dataclass(frozen=True)
-class ElasticResponse:
-    """How the elastic effects of a model respond in each row, at the observed point.
-
-    Attributes:
-        displacement: (n, 3), m, in base_link.
-        rotation: small rotation of the tool, (n, 3), rad, in base_link.
-        compliance: displacement by force and torque in tool0, (n, 3, 6), m/N and m/(N m).
-    """
-
-    displacement: Array
-    rotation: Array
-    compliance: Array
+from .state import Arm, ElasticResponse, Gravity, Instruments, Load, Rows, View, cut
 
 
 @dataclass(frozen=True)
@@ -80,10 +62,6 @@ class Scene:
     @property
     def pose(self) -> IntArray:
         return self.rows.pose
-
-    @property
-    def repeat(self) -> IntArray:
-        return self.rows.repeat
 
     @property
     def load_case(self) -> IntArray:
@@ -149,18 +127,8 @@ class Scene:
         return self.arm.driven
 
     @property
-    def coupling(self) -> Array | None:
-        """How passive joints follow the driven ones, (n, k, k)."""
-        return self.arm.coupling
-
-    @property
     def n_joints(self) -> int:
         return int(self.q.shape[1])
-
-    @property
-    def axis_in_joint(self) -> Array:
-        """Unit vector of each actuated axis in the joint's own frame, (k, 3)."""
-        return np.einsum("kji,kj->ki", self.kin.R_joint[0], self.kin.axis[0])
 
     # -- observed point --
 
@@ -224,10 +192,6 @@ class Scene:
         return self.gravity.in_base
 
     @property
-    def payload(self) -> Payload | None:
-        return self.gravity.payload
-
-    @property
     def tau_gravity(self) -> Array:
         """Torque that gravity exerts about each axis, (n, k), N m."""
         return self.gravity.tau
@@ -243,34 +207,9 @@ class Scene:
         return self.instruments.stations
 
     @property
-    def station_known(self) -> tuple[bool, ...]:
-        return self.instruments.station_known
-
-    @property
-    def marker(self) -> IntArray:
-        return self.instruments.marker
-
-    @property
-    def markers(self) -> tuple[str, ...]:
-        return self.instruments.markers
-
-    @property
-    def marker_known(self) -> tuple[bool, ...]:
-        return self.instruments.marker_known
-
-    @property
     def measured_from_station(self) -> Array | None:
         """Vector from the station to the measured marker, (n, 3), m; None in predictions."""
         return self.instruments.measured_from_station
-
-    @property
-    def modelled_from_station(self) -> Array | None:
-        """Vector from the station to where the controller believes the marker, (n, 3), m; None in predictions."""
-        return self.instruments.modelled_from_station
-
-    @property
-    def sensor_axis_in_tool(self) -> tuple[float, float, float]:
-        return self.instruments.sensor_axis_in_tool
 
     def noise_free_from_station(self) -> Array:
         """Vector from the station to the marker, (n, 3), m: measured at the reference, moved on by controller and springs.
@@ -336,7 +275,7 @@ class Scene:
             self,
             view=View(arm, p_observed, self.moves_with_arm),
             load=Load(arm, self.force_in_tool, self.torque_in_tool),
-            gravity=Gravity(arm, self.gravity_in_base, tau_gravity, self.payload, self.gravity.branches),
+            gravity=Gravity(arm, self.gravity_in_base, tau_gravity, self.gravity.payload, self.gravity.branches),
         )
 
     def take(self, rows: IntArray) -> Scene:
@@ -345,117 +284,14 @@ class Scene:
         position = np.full(n + 1, -1)
         position[rows] = np.arange(len(rows))
 
-        def cut(part: Any, **changed: Any) -> Any:
-            per_row = {
-                f.name: getattr(part, f.name)[rows]
-                for f in fields(part)
-                if f.name not in NOT_PER_ROW and isinstance(getattr(part, f.name), np.ndarray)
-            }
-            return replace(part, **{**per_row, **changed})
-
-        arm = cut(self.arm, kin=cut(self.kin))
+        arm = cut(self.arm, rows, kin=cut(self.kin, rows))
         return Scene(
-            rows=cut(self.rows, previous=position[self.previous[rows]]),
-            view=cut(self.view, arm=arm),
-            load=cut(self.load, arm=arm),
-            gravity=cut(self.gravity, arm=arm, branches={k: v[rows] for k, v in self.gravity.branches.items()}),
-            instruments=cut(self.instruments),
+            rows=cut(self.rows, rows, previous=position[self.previous[rows]]),
+            view=cut(self.view, rows, arm=arm),
+            load=cut(self.load, rows, arm=arm),
+            gravity=cut(self.gravity, rows, arm=arm, branches={k: v[rows] for k, v in self.gravity.branches.items()}),
+            instruments=cut(self.instruments, rows),
             ext={k: v[rows] for k, v in self.ext.items()},
             temperature={k: v[rows] for k, v in self.temperature.items()},
-            elastic=None if self.elastic is None else cut(self.elastic),
+            elastic=None if self.elastic is None else cut(self.elastic, rows),
         )
-
-
-NOT_PER_ROW = ("driven", "in_base", "is_prismatic", "virtual_in_joint")  # arrays of the parts of a scene that are not per row
-
-
-def scene_of(session: Session, *, observe: str = "marker") -> Scene:
-    """The scene of a session.
-
-    Args:
-        session: any session.
-        observe: `marker` (identification: p_observed is where the controller believes the marker) or `tcp` (prediction).
-    """
-    kin = session.robot.kinematics(session.q)
-    n = len(session)
-    previous = _previous_row(session)
-    has_previous = previous >= 0
-    on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker]
-    p_observed = marker_by_controller(session, kin) if observe == "marker" else session.p_tcp_in_base
-    from_station = modelled = None
-    if observe == "marker":
-        R = np.stack([s.R_in_base for s in session.stations])[session.station]
-        from_station = np.einsum("nij,nj->ni", R, session.p_marker_in_station)
-        modelled = p_observed - np.array([s.xyz for s in session.stations])[session.station]
-    in_base = _gravity(session, kin)
-    x, y, z = (float(v) for v in session.meta.get("sensor_axis_in_tool", (0.0, 0.0, 1.0)))
-    branches = {n: v for n, v in session.ext.items() if n in session.robot.branch_joints}
-    arm = Arm(
-        session.robot, kin, session.q,
-        step=np.where(has_previous[:, None], session.q - session.q[previous], 0.0),
-        p_tcp=session.p_tcp_in_base,
-        driven=np.array([name not in session.passive for name in session.robot.joint_names]),
-        coupling=coupling(session.passive, session.robot.joint_names, session.q), repeatability=session.noise.robot_m,
-    )  # fmt: skip
-    return Scene(
-        rows=Rows(
-            session.kind, session.pose, session.repeat, session.load_case, session.stamp,
-            load_since=np.where(has_previous, session.stamp[previous], session.stamp),
-            reference=session.reference_row(), previous=previous, clock=session.clock,
-        ),
-        view=View(arm, p_observed, on_tool if observe == "marker" else np.ones(n, dtype=bool)),
-        load=Load(arm, session.force_in_tool, session.torque_in_tool),
-        gravity=Gravity(
-            arm, in_base, arm.followed(session.robot.gravity_torque(session.q, in_base, session.payload, branches)),
-            session.payload, branches,
-        ),
-        instruments=Instruments(
-            session.station, tuple(s.name for s in session.stations), session.marker, tuple(m.name for m in session.markers),
-            station_known=tuple(s.known or session.kind == "loaded" for s in session.stations),
-            marker_known=tuple(m.known or session.kind == "loaded" for m in session.markers),
-            measured_from_station=from_station, modelled_from_station=modelled, sensor_axis_in_tool=(x, y, z),
-        ),
-        ext=session.ext,
-        temperature=session.temperature,
-    )  # fmt: skip
-
-
-def _gravity(session: Session, kin: Kinematics) -> Array:
-    """Gravity in base_link, m/s^2: as stated, else by a station that stands level."""
-    if "gravity" not in session.meta and any(s.level for s in session.stations):
-        level = level_gravity(registered(session, kin).stations)
-        if level is not None:
-            return level
-    return np.asarray(session.gravity_in_base, dtype=float)
-
-
-def marker_by_controller(session: Session, kin: Kinematics) -> Array:
-    """Where the controller (or the URDF) believes the marker to be, in base_link, (n, 3), m."""
-    xyz = np.array([m.xyz for m in session.markers])[session.marker]
-    on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker]
-    p_on_tool = session.p_tcp_in_base + np.einsum("nij,nj->ni", kin.R_tool, xyz)
-    return np.where(on_tool[:, None], p_on_tool, xyz)
-
-
-def _previous_row(session: Session) -> IntArray:
-    """Row before in time: within pose, repeat and marker (loaded) or the pose before with any marker (absolute)."""
-    previous = np.full(len(session), -1)
-    if session.clock == "none":
-        return previous
-    order = np.lexsort((session.load_case, session.stamp))
-    if session.kind == "loaded":
-        last: dict[tuple[int, int, int], int] = {}
-        for i in order:
-            key = (int(session.pose[i]), int(session.repeat[i]), int(session.marker[i]))
-            # the robot is relaxed at its reference: history begins there
-            if session.load_case[i] != 0:
-                previous[i] = last.get(key, -1)
-            last[key] = int(i)
-        return previous
-    current, before = -1, -1
-    for i in order:
-        if current >= 0 and session.pose[i] != session.pose[current]:
-            before = current
-        current = int(i)
-        previous[i] = before
-    return previous

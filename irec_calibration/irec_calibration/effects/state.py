@@ -7,8 +7,9 @@ Positions and vectors in base_link unless named otherwise, SI units; n rows, k j
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -65,6 +66,11 @@ class Arm:
     driven: BoolArray
     coupling: Array | None = None
     repeatability: float = 0.0
+
+    @property
+    def axis_in_joint(self) -> Array:
+        """Unit vector of each actuated axis in the joint's own frame, (k, 3)."""
+        return np.einsum("kji,kj->ki", self.kin.R_joint[0], self.kin.axis[0])
 
     def followed(self, per_joint: Array) -> Array:
         """Quantities per joint that act on coordinates, (n, ..., k), carried over to the driven joints that passive ones
@@ -209,6 +215,35 @@ class Instruments:
             object.__setattr__(self, "station_known", (True,) * len(self.stations))
         if len(self.marker_known) != len(self.markers):
             object.__setattr__(self, "marker_known", (True,) * len(self.markers))
+
+
+@dataclass(frozen=True)
+class ElasticResponse:
+    """How the elastic effects of a model respond in each row, at the observed point.
+
+    Attributes:
+        displacement: (n, 3), m, in base_link.
+        rotation: small rotation of the tool, (n, 3), rad, in base_link.
+        compliance: displacement by force and torque in tool0, (n, 3, 6), m/N and m/(N m).
+    """
+
+    displacement: Array
+    rotation: Array
+    compliance: Array
+
+
+NOT_PER_ROW = ("driven", "in_base", "is_prismatic", "virtual_in_joint")  # arrays of parts and kinematics that are not per row
+Part = TypeVar("Part", Rows, Arm, Kinematics, View, Load, Gravity, Instruments, ElasticResponse)
+
+
+def cut(part: Part, rows: IntArray, **changed: Any) -> Part:
+    """Some rows of a part, with what is named instead."""
+    per_row = {
+        f.name: getattr(part, f.name)[rows]
+        for f in fields(part)
+        if f.name not in NOT_PER_ROW and isinstance(getattr(part, f.name), np.ndarray)
+    }
+    return replace(part, **{**per_row, **changed})
 
 
 def _fixed(array: Array) -> Array:

@@ -31,7 +31,7 @@ class StationPose(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         out = []
         for i, s in enumerate(scene.stations):
-            if scene.kind == "absolute" and not scene.station_known[i]:
+            if scene.kind == "absolute" and not scene.instruments.station_known[i]:
                 out += [Parameter(f"{a}_{s}", "m", 1e-3, group=f"station {s}", flat=True) for a in AXES]
                 out += [Parameter(f"w_{a}_{s}", "rad", 1e-3, group=f"station {s}", flat=True) for a in AXES]
         return tuple(out)
@@ -67,7 +67,7 @@ class StationPose(Effect):
         return np.nan_to_num(scene.measured_from_station)
 
     def _by_station(self, scene: Scene, theta: Array) -> list[tuple[Array, Array, Array]]:
-        unknown = [i for i in range(len(scene.stations)) if not scene.station_known[i]]
+        unknown = [i for i in range(len(scene.stations)) if not scene.instruments.station_known[i]]
         return [(scene.station == i, theta[6 * j : 6 * j + 3], theta[6 * j + 3 : 6 * j + 6]) for j, i in enumerate(unknown)]
 
 

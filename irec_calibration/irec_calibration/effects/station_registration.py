@@ -28,7 +28,7 @@ class StationRegistration(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(
             Parameter(f"w_{a}_{s}", "rad", 0.01, -1.0, 1.0, plausible=(-0.2, 0.2), group=f"station {s}")
-            for s, known in zip(scene.stations, scene.station_known, strict=True)
+            for s, known in zip(scene.stations, scene.instruments.station_known, strict=True)
             if known  # an unknown one has its whole pose free: station_pose
             for a in AXES
         )
@@ -38,7 +38,7 @@ class StationRegistration(Effect):
             return np.zeros((len(scene), 3, len(theta)))
         d = scene.noise_free_from_station()
         turned = np.stack([-np.cross(e, d) for e in np.eye(3)], axis=2)
-        known = [s for s in range(len(scene.stations)) if scene.station_known[s]]
+        known = [s for s in range(len(scene.stations)) if scene.instruments.station_known[s]]
         if not known:
             return turned[:, :, :0]
         return np.concatenate([turned * (scene.station == s)[:, None, None] for s in known], axis=2)

@@ -29,7 +29,7 @@ class TrackerScale(Effect):
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.measured_from_station is None:
             return np.zeros((len(scene), 3, 1))
-        if scene.kind == "absolute" and scene.modelled_from_station is not None:
+        if scene.kind == "absolute" and scene.instruments.modelled_from_station is not None:
             # the measured vector itself would let a fit with free geometry shrink robot, measurement and error together
-            return scene.modelled_from_station[:, :, None]
+            return scene.instruments.modelled_from_station[:, :, None]
         return scene.noise_free_from_station()[:, :, None]

@@ -105,7 +105,7 @@ def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observ
 
 def _as_modelled(scene: Scene) -> Scene:
     """With the markers where the model has them instead of where they were measured."""
-    return replace(scene, instruments=replace(scene.instruments, measured_from_station=scene.modelled_from_station))
+    return replace(scene, instruments=replace(scene.instruments, measured_from_station=scene.instruments.modelled_from_station))
 
 
 def _excess(R: Array, equations: int) -> float:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..effects.scene import Scene, marker_by_controller, scene_of
+from ..effects.of_session import marker_by_controller, scene_of
+from ..effects.scene import Scene
 from ..errors import SolveError
 from ..session.data import Session
 from ..session.registration import registered

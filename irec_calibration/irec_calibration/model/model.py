@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..effects import Axes, Cause, Effect, Parameter, find_effect
-from ..effects.scene import ElasticResponse, Scene
+from ..effects.scene import Scene
+from ..effects.state import ElasticResponse
 from ..errors import ModelError
 from ..typing import Array, Json
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..effects.scene import marker_by_controller
+from ..effects.of_session import marker_by_controller
 from ..session import Session, Station
 from ..typing import Array, IntArray, Json
 

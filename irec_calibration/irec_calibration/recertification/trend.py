@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.scene import scene_of
+from ..effects.of_session import scene_of
 from ..errors import IrecError
 from ..model import Estimate, axis_compliances
 from ..model.file import load_model

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..diagnose.result import Candidate, Comparison, Diagnosis, View
 from ..effects import find_effect, known_effects
-from ..effects.scene import Scene, scene_of
+from ..effects.of_session import scene_of
+from ..effects.scene import Scene
 from ..identification.validation import ESTIMATOR
 from ..lengths import length
 from ..model import Estimate

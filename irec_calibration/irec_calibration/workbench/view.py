@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..effects import known_effects
-from ..effects.scene import scene_of
+from ..effects.of_session import scene_of
 from ..session import Session
 from ..typing import Array
 from .plain import SessionView

@@ -10,7 +10,7 @@ import pytest
 import synthetic
 from irec_calibration.diagnose import start_terms, validated
 from irec_calibration.diagnose.study import Study, prepare
-from irec_calibration.effects.scene import scene_of
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.model import Model
 from irec_calibration.session import Session
 from numpy.typing import NDArray

@@ -18,7 +18,8 @@ from irec_calibration.diagnose.held_out import held_out
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.diagnose.tool_weight import reference_readings
 from irec_calibration.effects import find_effect
-from irec_calibration.effects.scene import Scene, scene_of
+from irec_calibration.effects.of_session import scene_of
+from irec_calibration.effects.scene import Scene
 from irec_calibration.errors import Cancelled, EffectError, ModelError
 from irec_calibration.identification.identify import identify
 from irec_calibration.identification.provenance import model_of

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from irec_calibration.effects import CATALOGUE, Cause, absent, find_effect, known_effects
-from irec_calibration.effects.scene import scene_of
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.tool_weight import ToolWeight
 from irec_calibration.errors import EffectError
 from irec_calibration.identification.identify import identify

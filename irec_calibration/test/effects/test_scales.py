@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scales import WITHOUT_MASSES, rated_torque
-from irec_calibration.effects.scene import scene_of
 from irec_calibration.errors import ModelError
 from irec_calibration.model import Estimate, Model, Term
 from irec_calibration.robot import Robot

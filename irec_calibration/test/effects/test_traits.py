@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from irec_calibration.effects import CATALOGUE, Evidence, find_effect
 from irec_calibration.effects.formula import FormulaEffect
-from irec_calibration.effects.scene import scene_of
+from irec_calibration.effects.of_session import scene_of
 from synthetic import session
 
 IDS = [cls.id for cls in CATALOGUE]

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.formula import FormulaEffect
-from irec_calibration.effects.scene import scene_of
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.user import effect_from_text, register_file
 from irec_calibration.errors import EffectError, ModelError
 from irec_calibration.identification.identify import identify

@@ -11,7 +11,7 @@ import pytest
 from absolute_sessions import SIX, Joint, points, session, torsion
 from irec_calibration.diagnose import validated
 from irec_calibration.effects import find_effect
-from irec_calibration.effects.scene import scene_of
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.identification.absolute import base_terms, near_pairs, thinned
 from irec_calibration.identification.identify import default_terms, identify, with_registration
 from irec_calibration.identification.observe import observe

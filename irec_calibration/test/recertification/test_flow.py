@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
-from irec_calibration.effects.scene import marker_by_controller
+from irec_calibration.effects.of_session import marker_by_controller
 from irec_calibration.errors import IrecError
 from irec_calibration.recertification.flow import Outcome, recertify
 from irec_calibration.recertification.judgement import Missing
