@@ -132,6 +132,14 @@ class _Sets:
             names = less
         return names
 
+    def in_use(self, names: Names) -> Names:
+        """The parts that a model is used with: those that can be named, or all of them where that is the likelier explanation.
+
+        A cause sits in some axes, where something is worn or loose, or in all of them, where the build has it. What lies between
+        are sets that a search finds.
+        """
+        return self.names if self.score(self.names) > self.score(names) else names
+
     def others(self, names: Names) -> list[Names]:
         """Sets that could stand for one: each part left out, or replaced by another, or by all others cut down."""
         out: list[Names] = []
@@ -244,14 +252,23 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
                 said = known[effect_id]
                 known[effect_id] = replace(said, perhaps=tuple(n for n in present if n not in said.proven), one_of=())
                 continue
-            if names != present:
-                study = _with(study, sets.term(names))
+            used = sets.in_use(names)
+            known[effect_id] = _with_more(known[effect_id], sets, used)
+            if used != present:
+                study = _with(study, sets.term(used))
             rival = next((n for n in near if not set(n) < set(names)), None)
             if known[effect_id].one_of and rival is not None and other is None:
                 other = (_with(study, sets.term(rival)).terms, (_label(effect_id, names), _label(effect_id, rival)))
         except SolveError:
             known[effect_id] = Parts(perhaps=present)
     return Pruned(study, known, other)
+
+
+def _with_more(parts: Parts, sets: _Sets, used: Names) -> Parts:
+    """What is known of parts, and that the model has others too, of which none is sure."""
+    spoken = {*parts.proven, *parts.perhaps, *(n for s in parts.one_of for n in s)}
+    own = {n: sets.cost(used, n) for n in used if n not in parts.log_evidence}
+    return replace(parts, perhaps=(*parts.perhaps, *(n for n in used if n not in spoken)), log_evidence=parts.log_evidence | own)
 
 
 def _beyond_structures(parts: Parts, sets: _Sets, names: Names, beside: Block | None, family: Family) -> Parts:

@@ -71,6 +71,7 @@ class Parameter:
 
 WHY_LEFT_OUT = {
     Cause.STATE: "does not depend on the process force",
+    Cause.MOTION: "depends on the motion before, whatever the process force",
     Cause.TIME: "passes with time whatever the process force",
     Cause.MEASUREMENT: "is seen by the measuring instrument only and moves no tool",
 }

@@ -21,7 +21,7 @@ class JointSettling(Effect):
         "residual is proportional to the step just made, not to its sign: it imitates backlash."
     )
     family = Family.ANGLE_ERROR
-    cause = Cause.STATE
+    cause = Cause.MOTION
     needs = ("step",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

@@ -12,13 +12,16 @@ class Cause(StrEnum):
 
     Attributes:
         LOAD: the process force moves the tool, or it is what the force sensor makes of it: part of both.
-        STATE: joint angles alone; nothing of it is caused by a process force, only predictions of `absolute` sessions have it.
+        STATE: joint angles alone. Predictions have its change since the reference; the live correction, which knows no other
+            place than where the robot is, has no part of it.
+        MOTION: how the joints came to where they are, whatever the force: only predictions of `absolute` sessions have it.
         TIME: passes with time whatever the force; no part of either.
         MEASUREMENT: only the tracker sees it; no part of either.
     """
 
     LOAD = "load"
     STATE = "state"
+    MOTION = "motion"
     TIME = "time"
     MEASUREMENT = "measurement"
 

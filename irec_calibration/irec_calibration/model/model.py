@@ -150,16 +150,16 @@ class Model:
         return tuple(t.effect.id for t in self.terms)
 
     def predict(self, scene: Scene) -> Array:
-        """Deflection of the TCP that the rows' load causes, (n, 3), m, in base_link.
+        """Deflection of the TCP in each row, (n, 3), m, in base_link: of a `loaded` session since the row's reference.
 
         Where the physical TCP will be relative to the controller's, evaluated at the force that really acts (sensor effects).
-        What only instruments see, what passes with time, and in `loaded` sessions what depends on joint angles alone is left
-        out: no process force causes it. The live correction computes the same.
+        What only instruments see, what passes with time, and in `loaded` sessions what is left of a motion is no part of it. The
+        live correction computes the same where the joints stand as at the reference.
 
         Args:
             scene: rows that observe the TCP (`scene_of(session, observe="tcp")`).
         """
-        causes = (Cause.LOAD,) if scene.kind == "loaded" else (Cause.LOAD, Cause.STATE)
+        causes = (Cause.LOAD, Cause.STATE) if scene.kind == "loaded" else (Cause.LOAD, Cause.STATE, Cause.MOTION)
         moving = [t for t in self.terms if t.effect.cause in causes]
         return scene.change(total_displacement(moving, scene))
 

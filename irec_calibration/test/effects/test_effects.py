@@ -161,6 +161,21 @@ def test_a_prediction_has_the_elastic_response_to_an_external_force_and_nothing_
     np.testing.assert_array_equal(Model((springs, hose, drift, settling)).predict(scene), with_hose)
 
 
+@pytest.mark.parametrize(("effect_id", "values"), [("geometry_error", {"zero_2": 1e-3}), ("encoder_harmonics", {"a1_2": 1e-3})])
+def test_a_prediction_has_what_wrong_joint_angles_move_the_tool_since_the_reference_and_nothing_where_no_joint_moves(
+    effect_id, values
+):
+    measured = session(5)
+    at = scene_of(measured).reference
+    still = replace(measured, q=measured.q[at], p_tcp_in_base=measured.p_tcp_in_base[at])
+    found = Model((Term(find_effect(effect_id), {n: Estimate(v) for n, v in values.items()}),))
+    moves, stands = (scene_of(s, observe="tcp") for s in (measured, still))
+    moved = found.predict(moves)[moves.load_case > 0]
+    by_angle = moves.change(moves.J[:, :, 1])[moves.load_case > 0]
+    assert np.linalg.norm(moved, axis=1).max() > 0.0 and np.linalg.norm(moved) < 2e-3 * np.linalg.norm(by_angle)
+    np.testing.assert_allclose(found.predict(stands), 0.0, atol=1e-15)
+
+
 def test_marker_offset_turns_with_the_elastic_rotation(scene):
     effect = find_effect("marker_offset")
     d = np.array([0.01, -0.02, 0.03])
