@@ -183,11 +183,12 @@ def explain(start: Explanation, current: Explanation, trial: Trial, family: Fami
         return None
     before, after = (s.bench.posterior(s.base) for s in (current.study, fitted))
     saved = current.study.bench.saved(before.chi2, max(after.chi2, fitted.true_chi2))
-    named = supported(after.log_evidence - before.log_evidence - log(len(FACTORS)), saved)
-    named += trial.best.log_prior
+    named = supported(after.log_evidence - before.log_evidence - log(len(FACTORS)), saved) + trial.best.log_prior
+    if not current.added:  # the trial tried more prior widths, but there no spring gives way to an effect
+        named = max(named, supported(trial.log_evidence, saved))
     added = fitted.terms[len(start.study.terms) :]
     rest = _remainder(fitted, family, current.remainder.parts)
-    return Explanation(added, fitted, current.named + max(named, trial.log_evidence if not current.added else named), rest)
+    return Explanation(added, fitted, current.named + named, rest)
 
 
 def _reshaped(start: Explanation, one: Explanation, family: Family) -> Explanation:
@@ -411,6 +412,10 @@ def _rivals(
         for other in others:
             one = explain(start, bare, try_option(ground, by_id[other], rest.ready), family)
             if one is None or implausible(one, other):  # no value that can be is no rival
+                continue
+            own_forms = forms_of(_term(one, other), one.study.ready)
+            own = _without_forms(one, family, own_forms) - _without_forms(bare, family, own_forms)
+            if own < settings.nats_to_prefer:  # what has no name explains it there, not this effect
                 continue
             odds = whole - _without_forms(one, family, forms)
             if odds < settings.nats_to_separate:

@@ -34,6 +34,20 @@ def compare(session: Session, terms: Sequence[Term]) -> Comparison:
     return compare_observed(observation, with_registration(terms, observation))
 
 
+def _about_repeats(repeat_floor: float, observation: Observation, more: bool) -> str:
+    """Repeats scatter more, or less, than the noise that the residual is weighed by."""
+    floor = observation.whiten.floor
+    if observation.whiten.level == 1.0:
+        return (
+            f"repeats scatter by {length(repeat_floor)}, the data sheet says {length(floor)}: the noise in session.yaml is too "
+            f"{'small' if more else 'large'}, or the history of the load matters (hysteresis)"
+        )
+    seen = f"repeats scatter by {length(repeat_floor)}, all rows together show a noise of {length(floor)}"
+    if more:
+        return f"{seen}: something differs between a row and its repeat (the history of the load, or what moved in between)"
+    return f"{seen}: part of what looks like noise comes back with the pose"
+
+
 def compare_observed(observation: Observation, terms: Sequence[Term], fitted: int = 0) -> Comparison:
     """As `compare`, for an observation that exists already.
 
@@ -50,13 +64,9 @@ def compare_observed(observation: Observation, terms: Sequence[Term], fitted: in
     if repeat_dof >= FEWEST_REPEATS:
         p = 2.0 * min(fdtrc(repeat_dof, 1e6, ratio), fdtr(repeat_dof, 1e6, ratio))
         if p < DISAGREEMENT:
-            notes.append(
-                f"repeats scatter by {length(repeat_floor)}, the data sheet says {length(floor)}: the noise in "
-                "session.yaml"
-                f" is too {'small' if ratio > 1 else 'large'}, or the history of the load matters (hysteresis)"
-            )
+            notes.append(_about_repeats(repeat_floor, observation, more=ratio > 1))
     variance_ratio = chi2 / max(residual.size - fitted, 1)
-    if variance_ratio < QUIETER:
+    if variance_ratio < QUIETER and observation.whiten.level == 1.0:
         notes.append(
             f"the residual, {length(left)}, is well below the noise that session.yaml states, {length(floor)}: "
             "the instruments "

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import start_terms
+from irec_calibration.diagnose.build import Explanation, explain
+from irec_calibration.diagnose.candidates import options, try_option
 from irec_calibration.diagnose.evidence import Ground
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.forms import forms_of
@@ -99,6 +101,17 @@ def test_a_remainder_from_known_products_is_the_same_as_one_from_all_equations()
     odds[[s in [p.structure for p in rest.parts] for s in family.structures]] = -np.inf
     assert odds.max() < 3.0
     assert ground.chi2 == pytest.approx(found.bench.posterior(rest.block).chi2, rel=1e-9)
+
+
+def test_a_promise_of_the_linear_problem_that_the_exact_fit_does_not_keep_is_no_evidence() -> None:
+    found = study()
+    family = family_of(found)
+    start = Explanation((), found, 0.0, grow(found.bench, family, found.base))
+    creep = next(o for o in options(found)[0] if o.effect.id == "creep")
+    promised = replace(try_option(Ground(found.bench, found.base), creep, found.ready), log_evidence=50.0)
+    one = explain(start, start, promised, family)
+    assert one is not None
+    assert one.named < 5.0, "nothing creeps there: the residual hardly falls"
 
 
 def test_a_drift_is_a_form_of_thermal_drift_and_of_nothing_else() -> None:
