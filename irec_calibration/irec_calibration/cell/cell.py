@@ -19,8 +19,9 @@ from ..errors import CellError, PlanError, RobotError
 from ..files.document import Document, open_document
 from ..robot import Payload, Robot
 from ..typing import Array
+from .mesh import facing_share
 from .rules import RULES, check_robot
-from .surface import Block, MeshSurface, Patch, Surface, facing_share
+from .surface import Block, MeshSurface, Patch, Surface
 
 FORMAT = "irec-cell/1"
 LOAD_CASE_NAMES = ("normal", "N", "S", "E", "W")

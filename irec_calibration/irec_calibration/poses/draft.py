@@ -11,7 +11,8 @@ import numpy as np
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from ..cell.surface import LARGEST, Block, MeshSurface, Patch, Surface, facing_share, read_mesh
+from ..cell.mesh import facing_share, read_mesh
+from ..cell.surface import LARGEST, Block, MeshSurface, Patch, Surface
 from ..errors import CellError, PlanError
 from ..files import read_text
 from ..robot import Robot

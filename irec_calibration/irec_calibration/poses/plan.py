@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..cell import Cell
-from ..cell.surface import distance_along
+from ..cell.along import distance_along
 from ..errors import PlanError
 from ..typing import Array, IntArray
 from .blocks import (

@@ -3,7 +3,9 @@
 
 import numpy as np
 import pytest
-from irec_calibration.cell.surface import Block, MeshSurface, Patch, SurfacePoints, TriangleMesh, distance_along
+from irec_calibration.cell.along import distance_along
+from irec_calibration.cell.mesh import TriangleMesh
+from irec_calibration.cell.surface import Block, MeshSurface, Patch, SurfacePoints
 from irec_calibration.errors import PlanError
 from scipy.spatial.transform import Rotation
 
