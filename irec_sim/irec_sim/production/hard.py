@@ -21,12 +21,13 @@ class Modes:
     Attributes:
         damping: of each mode from the lowest on, share of critical; the last one holds for all further ones.
         highest: Hz, modes above it answer at once.
-        gyration: m, radius of gyration of each link about its own centre of mass (the descriptions state masses only).
+        gyration: m, radii of gyration of each link and then of the tool about the axes of its own frame (of the mount for the
+            tool) through its centre of mass, (joints + 1, 3).
     """
 
     damping: tuple[float, ...] = (0.05,)
     highest: float = 45.0
-    gyration: float = 0.2
+    gyration: tuple[tuple[float, float, float], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cellfile import CellFile
+from ..errors import SimError
 from ..kinematics import Array, rotation
 from ..plant import Conditions, Plant
 from .hard import Modes
@@ -34,11 +35,19 @@ class ModalForm:
     by_motor: Array
 
 
-def mass_matrix(plant: Plant, q: Array, gyration: float) -> Array:
-    """M of the elastic coordinates at motor angles q (n, joints), (n, dof, dof), kg m^2 (kg for translations)."""
+def mass_matrix(plant: Plant, q: Array, gyration: Array) -> Array:
+    """M of the elastic coordinates at motor angles q (n, joints), (n, dof, dof), kg m^2 (kg for translations).
+
+    gyration: as `Modes.gyration`. Raises SimError where there is not one row for each link and one for the tool.
+    """
+    if np.shape(gyration) != (plant.chain.n + 1, 3):
+        raise SimError(
+            f"modes: gyration has shape {np.shape(gyration)}; it takes three radii (m) for each of the {plant.chain.n} links "
+            "and for the tool"
+        )
     chain, rows = plant.chain, len(q)
     frames = plant.frames(q, np.zeros((rows, plant.dof)))
-    com, j0 = _centres(plant, q), 6 if plant.has_base else 0
+    (com, turned_by), j0 = _bodies(plant, q), 6 if plant.has_base else 0
     owner = np.r_[np.zeros(j0), np.repeat(np.arange(chain.n), 3), np.full(6 if plant.has_tool else 0, chain.n)].astype(int)
     turns = plant.turns(frames)
     mass = np.r_[chain.mass, chain.tool_mass]
@@ -46,27 +55,30 @@ def mass_matrix(plant: Plant, q: Array, gyration: float) -> Array:
     for k in range(chain.n + 1):
         carried = (owner <= k)[None, :, None]
         moved = (frames.lever + np.cross(turns, (com[:, k] - frames.p_tcp)[:, None, :])) * carried
-        turned = turns * carried
-        M += mass[k] * (moved @ moved.swapaxes(1, 2) + gyration**2 * turned @ turned.swapaxes(1, 2))
+        turned = (turns * carried) @ turned_by[:, k] * gyration[k]  # in the axes of the body
+        M += mass[k] * (moved @ moved.swapaxes(1, 2) + turned @ turned.swapaxes(1, 2))
     return M
 
 
-def _centres(plant: Plant, q: Array) -> Array:
-    """Centres of mass of the links and the tool in base_link, (n, joints + 1, 3), m."""
+def _bodies(plant: Plant, q: Array) -> tuple[Array, Array]:
+    """Centres of mass of the links and the tool in base_link, (n, joints + 1, 3), m, and their frames, (n, joints + 1, 3, 3)."""
     chain = plant.chain
     local = chain.R_fixed @ rotation(chain.axis, q)
-    R, p, out = np.eye(3), np.zeros(3), []
+    R, p = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+    centres, frames = [], []
     for k in range(chain.n):
         p = p + R @ chain.p_fixed[k]
         R = R @ local[:, k]
-        out.append(p + R @ chain.com[k])
-    return np.stack([*out, p + R @ chain.p_mount + R @ chain.R_mount @ chain.tool_com], axis=1)
+        centres.append(p + R @ chain.com[k])
+        frames.append(R)
+    centres.append(p + R @ chain.p_mount + R @ chain.R_mount @ chain.tool_com)
+    return np.stack(centres, axis=1), np.stack([*frames, R @ chain.R_mount], axis=1)
 
 
 def modes_at(plant: Plant, q: Array, settings: Modes, count: int | None = None) -> ModalForm:
     """Modes at postures q (n, joints); as many as the row with most of them has below `highest`."""
     frames = plant.frames(q, np.zeros((len(q), plant.dof)))
-    M = mass_matrix(plant, q, settings.gyration)
+    M = mass_matrix(plant, q, np.array(settings.gyration))
     c = np.broadcast_to(plant.compliance(q, Conditions.idle(len(q), plant.chain.n)), (len(q), plant.dof))
     soft = np.flatnonzero(c.min(axis=0) > _RIGID)
     n = len(soft)

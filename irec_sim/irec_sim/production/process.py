@@ -98,7 +98,8 @@ def _lay_down(p: dict[str, Any], ways: Ways, seed: int) -> Force:
         ]
         turns = ways.way[:, row] / (math.pi * p["roller"]) + rng.random()
         unsteady[:, row, 2] += p["run_out"] * np.sin(2.0 * math.pi * turns) * pressed
-        counted[:, row] = pressed > 0.5
+        # tape lies under the roller from half the force of the touch-down on; where the roller lifts, its tail has passed
+        counted[:, row] = (down > 0.5) & (t < end - p["lift_off"] - 0.05)
     return Force(steady, unsteady, np.zeros((steps, k)), 0.0, 0, float(p["stiffness"]), counted)
 
 
