@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from irec_correction.ahead import Fir, StructureMode, design
+from irec_correction.ahead import Fir, Response, design
 from irec_correction.conditioning import FilterSettings, make_filters
 from irec_correction.errors import SettingsError
 from irec_correction.filters import low_pass
@@ -40,12 +40,35 @@ def test_a_designed_filter_misses_less_of_another_recording_than_the_low_pass() 
     assert own == pytest.approx(found.left, rel=0.2)  # what the design foretells is what comes
 
 
-def test_a_mode_makes_the_filter_exact_where_the_structure_answers_most() -> None:
+def response(mode: float, delay: float) -> Response:
+    """Of an arm with one mode that answers a force and an offset alike, the offset later."""
+    f = np.linspace(1.0, 30.0, 300)
+    H = 1.0 / (1.0 - (f / mode) ** 2 + 0.1j * f / mode)
+    return Response(f, H, H * np.exp(-2j * np.pi * f * delay))
+
+
+def test_measured_responses_of_arm_and_drives_are_undone_where_the_structure_answers_most() -> None:
     f = force(3, highest=12.0)
-    flat, shaped = design(f, RATE, 0.03, 1.0), design(f, RATE, 0.03, 1.0, modes=[StructureMode(9.0, 0.03, 0.9)])
+    flat, shaped = design(f, RATE, 0.03, 1.0), design(f, RATE, 0.03, 1.0, responses=[response(9.0, 0.03)])
     i = np.arange(len(flat.taps))
     rest = [abs(np.exp(2j * np.pi * 9.0 * 0.03) - np.exp(-2j * np.pi * 9.0 * i / RATE) @ d.taps) for d in (flat, shaped)]
     assert rest[1] < 0.6 * rest[0]
+
+
+def test_responses_that_are_a_delay_alone_give_the_filter_of_that_delay() -> None:
+    grid = np.linspace(0.5, 124.0, 2000)
+    delay = Response(grid, np.ones(2000, dtype=complex), np.exp(-2j * np.pi * grid * 0.02))
+    by_lead, by_response = design(force(4), RATE, 0.02, 1.0), design(force(4), RATE, 0.0, 1.0, responses=[delay])
+    assert by_response.left == pytest.approx(by_lead.left, rel=0.02)
+
+
+def test_a_filter_keeps_the_acceleration_that_it_was_allowed() -> None:
+    free = design(force(5), RATE, 0.04, 1.5, compliance=1e-6)
+    held = design(force(5), RATE, 0.04, 1.5, compliance=1e-6, acceleration=0.3 * free.acceleration)
+    assert held.acceleration <= 0.3 * free.acceleration
+    assert free.left <= held.left < held.before  # it costs something, and is still better than the low-pass
+    with pytest.raises(SettingsError, match="acceleration"):
+        design(force(5), RATE, 0.04, 1.5, compliance=1e-6, acceleration=1e-9)
 
 
 @settings(max_examples=20, deadline=None)

@@ -11,15 +11,15 @@ import pickle
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from irec_calibration.cell import read_cell
-from irec_correction.ahead import Fir
 from irec_correction.conditioning import FilterSettings, make_filters
 from irec_correction.correction import CorrectionSettings
+from irec_correction.filters import Filter
 from irec_correction.limits import Bounds, OffsetLimits
 from irec_correction.preview import ForceProfile, Preview
 from irec_sim.cellfile import read_cell as read_sim_cell
@@ -69,7 +69,6 @@ class Job:
     profiles: str | None = None
     ahead: float = 0.0
     seed: int = 0
-    only_elastic: bool = field(default=False)
 
 
 def filters_of(case: Case) -> FilterSettings:
@@ -148,27 +147,22 @@ def run_job(case: Case, job: Job) -> str:
 def corrected(case: Case, job: Job, ways: Ways) -> Corrected:
     """The correction as this job configures it."""
     cell = read_cell(case.cell_path)
-    filters = filters_of(case)
+    filters = replace(filters_of(case), taps=job.taps or (1.0,))
     settings = CorrectionSettings(lead=job.lead, lead_limit=3e-4, limits=limits_of(case))
     made = Corrected(cell, Setup(Path(str(job.model)), settings, filters), len(job.rows))
     profiles = np.load(job.profiles) if job.profiles else None
     for i, chain in enumerate(made.chains):
-        if job.taps:
-            chain.conditioner.filters = [*_notches(filters), Fir(np.array(job.taps), filters.rate)]
         if profiles is not None:
-            own = [*_notches(filters), Fir(np.array(job.taps), filters.rate)] if job.taps else make_filters(filters)
             steps = int(ways.driving[:, i].sum())
             wrench = np.zeros((steps, 6))
             wrench[:, :3] = profiles[f"course_{job.rows[i]}"][:steps]
-            chain.preview = Preview(ForceProfile(ways.q[:steps, i], wrench), job.ahead, own)
+            chain.preview = Preview(ForceProfile(ways.q[:steps, i], wrench), job.ahead, make_filters(filters))
     return made
 
 
-def _notches(filters: FilterSettings):  # type: ignore[no-untyped-def]
-    """All stages but the low-pass."""
-    from dataclasses import replace
-
-    return make_filters(replace(filters, cutoff=0.0))
+def stages_before(filters: FilterSettings) -> list[Filter]:
+    """All stages but the low-pass or the designed filter."""
+    return make_filters(replace(filters, cutoff=0.0, taps=(1.0,)))
 
 
 def load(case: Case, job: Job) -> tuple[Drive, dict[str, float]]:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is learnt on the training courses (every second one) for the others: latency, force profile, filter, modes of
-the structure."""
+"""What is learnt on the training courses (every second one) for the others: latency, force profile, filter, answer of arm and
+drives."""
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,20 +13,23 @@ from irec_calibration.commands.modes import structure_of
 from irec_calibration.errors import RecordingError
 from irec_calibration.sensors.latency import Latency, find_latency
 from irec_calibration.sensors.motion_recording import read_force_and_motion
-from irec_calibration.sensors.structure import Structure
+from irec_calibration.sensors.structure import Structure, frequency_response
 from irec_calibration.typing import Array
-from irec_correction.ahead import Design, StructureMode, design
+from irec_correction.ahead import Design, Response, design
 from irec_correction.conditioning import make_filters
+from irec_correction.filters import Filter
 from irec_sim.cellfile import read_cell
 from irec_sim.kinematics import forward
 from irec_sim.production.hard import read_hard
 from irec_sim.production.runner import Drive
-from irec_sim.production.tap import tap
+from irec_sim.production.tap import shake, tap
 from irec_sim.production.ways import PERIOD, Ways
 
 from .bag import write_bag
-from .jobs import Case, filters_of
+from .jobs import Case, filters_of, limits_of, stages_before
 
+SWEPT = (3.0, 28.0)  # Hz, in which responses are taken from sweeps
+BLOCK = 1000  # samples, over which they are averaged
 HEAD, TAIL = 2.0, 1.2  # s at either end of a course in which the profile goes by time, in between by the share of the way
 
 
@@ -106,12 +110,10 @@ def write_profiles(profile: Profile, ways: Ways, courses: Array, path: Path) -> 
 
 def unsteady(case: Case, drive: Drive, rows: Array, profile: Profile) -> tuple[Array, float]:
     """Force that no profile tells, (n, 3), N, in tool0 with the notches passed; and the sensor's noise before contact, N."""
-    from .jobs import _notches
-
     parts, quiet = [], []
     for i in rows:
         n = int(drive.ways.driving[:, i].sum())
-        stages = _notches(filters_of(case))
+        stages = stages_before(filters_of(case))
         left = drive.reading[:n, i] - profile.along(drive.ways, i)
         for stage in stages:
             left = np.array([stage.step(x) for x in left])
@@ -121,45 +123,80 @@ def unsteady(case: Case, drive: Drive, rows: Array, profile: Profile) -> tuple[A
     return np.concatenate(parts), float(np.sqrt((np.array(quiet) ** 2).mean()))
 
 
-def structures_of(case: Case, ways: Ways, rows: Array) -> list[tuple[str, Structure]]:
-    """Swept force at three postures of the training courses, recorded, and identified as `irec modes` does."""
+@dataclass(frozen=True)
+class Shaken:
+    """What a swept force and a swept offset told at one posture.
+
+    Attributes:
+        where: course. response: in the direction that counts; compliance: m/N, largest static one of the TCP.
+        structure: modes as `irec modes` finds them in the recording, or None where it says that it can't.
+    """
+
+    where: str
+    response: Response
+    compliance: float
+    structure: Structure | None
+
+
+def shaken_at(case: Case, ways: Ways, rows: Array) -> list[Shaken]:
+    """Shake the standing arm at three postures of the training courses; recordings tap_k.mcap and shake_k.npz stay."""
     sim = read_cell(case.cell_path)
     hard = read_hard(case.truth_path, sim)
     found = []
-    for k, i in enumerate(rows[np.linspace(0, len(rows) - 1, 3).astype(int)]):
+    for k, i in enumerate(rows[np.unique(np.linspace(0, len(rows) - 1, 3).astype(int))]):
         step = int(0.5 * ways.driving[:, i].sum())
-        path = case.out / f"tap_{k + 1}.mcap"
-        if not path.is_file():
-            q = ways.q[step, i]
+        q, counts = ways.q[step, i], ways.counts[step, i]
+        digest = hashlib.sha256(case.truth_path.read_bytes() + case.cell_path.read_bytes() + q.tobytes()).hexdigest()[:12]
+        bag, table = case.out / f"tap_{k + 1}_{digest}.mcap", case.out / f"shake_{k + 1}_{digest}.npz"
+        if not (bag.is_file() and table.is_file()):
             force, motion = tap(sim, hard, q, float(ways.rail[i]), seed=20 + k)
+            sent, moved = shake(sim, hard, q, float(ways.rail[i]), seed=30 + k)
+            np.savez(table, force=force, motion=motion, sent=sent, moved=moved)
             pose = forward(sim.chain, q[None])
             n = len(force)
-            write_bag(
-                path.with_suffix(".part"),
-                force @ pose.R_tool[0],
-                np.tile(pose.p_tcp, (n, 1)),
-                np.tile(pose.R_tool, (n, 1, 1)),
-                pose.p_tcp + motion,
-            )
-            path.with_suffix(".part").replace(path)
+            p, R = np.tile(pose.p_tcp, (n, 1)), np.tile(pose.R_tool, (n, 1, 1))
+            write_bag(bag.with_suffix(".part"), force @ pose.R_tool[0], p, R, pose.p_tcp + motion)
+            bag.with_suffix(".part").replace(bag)
+        data = np.load(table)
+        response, compliance = _response(case, counts, *(data[name] for name in ("force", "motion", "sent", "moved")))
         try:
-            found.append((f"{ways.names[i]} ({path.name})", structure_of(path)))
+            structure: Structure | None = structure_of(bag)
         except RecordingError as error:
-            print(f"case: no modes from {path}: {error}")
+            print(f"case: no modes from {bag}: {error}")
+            structure = None
+        found.append(Shaken(ways.names[i], response, compliance, structure))
     return found
 
 
-def modes_for_design(found: list[tuple[str, Structure]]) -> list[StructureMode]:
-    """Modes of all postures, each with its part of the whole: the filter is one for all of them."""
-    return [
-        StructureMode(m.frequency, min(max(m.damping, 0.02), 0.5), max(m.share, 0.0) / len(found))
-        for _, s in found
-        for m in s.modes
-        if m.share > 0.02
-    ]
+def _response(case: Case, counts: Array, force: Array, motion: Array, sent: Array, moved: Array) -> tuple[Response, float]:
+    """In the direction that counts, for a force that has passed the stages before the designed filter."""
+    f, _, to_force = frequency_response(force, motion, 1.0 / PERIOD, BLOCK)
+    _, _, to_offset = frequency_response(sent, moved, 1.0 / PERIOD, BLOCK)
+    used, low = (f >= SWEPT[0]) & (f <= SWEPT[1]), (f >= SWEPT[0]) & (f <= SWEPT[0] + 1.5)
+    P, Q = (to_force @ counts) @ counts, (to_offset @ counts) @ counts
+    stages = stages_before(filters_of(case))
+    impulse = np.zeros((500, 6))
+    impulse[0] = 1.0
+    for stage in stages:
+        stage.step(np.zeros(6))  # stages take their first sample as having stood for ever
+    out = [_through(stages, x)[0] for x in impulse]
+    before = np.exp(-2j * np.pi * f[:, None] * np.arange(len(out)) * PERIOD) @ np.array(out)
+    response = Response(f[used], P[used] / float(np.abs(P[low]).mean()) / before[used], Q[used])
+    return response, float(np.linalg.norm(np.abs(to_force[low]).mean(axis=0), 2))
 
 
-def designs(force: Array, noise: float, lead: float, modes: list[StructureMode], cutoff: float) -> tuple[Design, Design]:
-    """Filters for the measured spectrum, without and with the structure's modes."""
-    plain = design(force, 1.0 / PERIOD, lead, noise, cutoff=cutoff)
-    return plain, design(force, 1.0 / PERIOD, lead, noise, modes=modes, cutoff=cutoff)
+def _through(stages: list[Filter], sample: Array) -> Array:
+    for stage in stages:
+        sample = stage.step(sample)
+    return sample
+
+
+def designs(case: Case, force: Array, noise: float, lead: float, shaken: list[Shaken]) -> tuple[Design, Design]:
+    """Filters for the measured spectrum: that look ahead by a lead, and that undo what arm and drives do."""
+    settings = {
+        "compliance": max(s.compliance for s in shaken),
+        "acceleration": limits_of(case).translation.acceleration / 3.0,  # so that the limit itself acts rarely
+        "cutoff": filters_of(case).cutoff,
+    }
+    plain = design(force, 1.0 / PERIOD, lead, noise, **settings)
+    return plain, design(force, 1.0 / PERIOD, lead, noise, responses=[s.response for s in shaken], **settings)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from irec_calibration.report.style import BLUE, CONTINUOUS, GREEN, GREY, ORANGE, PURPLE, RED, pyplot, save
+from irec_correction.ahead import missed
 from irec_sim.production.runner import Drive
 
 from .budget import Budget
@@ -107,19 +108,17 @@ def learned(told: dict[str, Any], path: Path) -> Path:
     ax.set(xlabel="time since the course began [s]", ylabel="force [N]", title="Known profile: the beginning")
     ax.legend(fontsize=8)
     ax = axes[1, 0]
-    for key, colour, name in (("plain", BLUE, "for the spectrum"), ("shaped", ORANGE, "and for the modes")):
-        taps = told[key].taps
-        f = np.linspace(0.1, 40.0, 300)
-        gain = np.exp(-2j * np.pi * f[:, None] * np.arange(len(taps)) / told[key].rate) @ taps
-        rest = np.abs(np.exp(2j * np.pi * f * told[key].lead) - gain)
+    f, responses = np.linspace(0.2, 25.0, 300), [s.response for s in told["shaken"]]
+    for key, colour, name in (("plain", BLUE, "for the spectrum, a delay"), ("shaped", ORANGE, "arm and drives as measured")):
+        rest = missed(told[key].taps, told[key].rate, responses, f)
         ax.plot(f, rest, color=colour, ls="-" if key == "plain" else "--", label=name)
-    ax.plot(f, np.abs(np.exp(2j * np.pi * f * told["plain"].lead) - 1.0), color=GREY, ls=":", label="no filter")
-    ax.set(xlabel="frequency [Hz]", ylabel="share of the force that is missed", title="Designed filter")
+    ax.plot(f, missed(np.array([1.0]), told["plain"].rate, responses, f), color=GREY, ls=":", label="no filter")
+    ax.set(xlabel="frequency [Hz]", ylabel="deviation left per static deflection", title="Designed filter", ylim=(0.0, None))
     ax.legend(fontsize=8)
     ax = axes[1, 1]
-    for (where, s), colour in zip(told["structures"], (BLUE, ORANGE, GREEN), strict=False):
-        ax.semilogy(s.frequency, 1e6 * s.measured, color=colour, lw=0.6)
-        ax.semilogy(s.frequency, 1e6 * s.fitted, color=colour, ls="--", label=where.split(" ")[0])
-    ax.set(xlabel="frequency [Hz]", ylabel="um/N", title="Response to a swept force, and fit (dashed)")
-    ax.legend(fontsize=8)
+    for s, colour in zip(told["shaken"], (BLUE, ORANGE, GREEN), strict=False):
+        ax.semilogy(s.response.frequency, np.abs(s.response.to_force), color=colour, lw=0.9, label=f"{s.where}, force")
+        ax.semilogy(s.response.frequency, np.abs(s.response.to_offset), color=colour, ls="--", lw=0.9, label=f"{s.where}, offset")
+    ax.set(xlabel="frequency [Hz]", ylabel="answer of the TCP, 1 = static", title="Answer of arm and drives")
+    ax.legend(fontsize=7, ncols=2)
     return save(figure, path)

@@ -1,26 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A case from calibration to report: calibrate, solve, improve, drive the part, take the error down step by step,
-say where it comes
-from."""
+"""A case from calibration to report: calibrate, solve, improve, drive the part, take the error down step by step, say where it
+comes from."""
 
 from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 from irec_calibration.cell import read_cell
 from irec_sim.cellfile import read_cell as read_sim_cell
-from irec_sim.production.hard import Hard, read_hard
+from irec_sim.errors import SimError
+from irec_sim.production.hard import read_hard
 from irec_sim.production.ways import Ways
 
 from . import calibrated, learned
 from .budget import Budget, budget_jobs
-from .jobs import Case, Job, filters_of, load, run_jobs, ways_of
-from .page import Found, write_report
+from .jobs import Case, Job, load, run_jobs, ways_of
+from .moving import improved_in_motion
+from .page import LAST, NOT_KEPT, START, Found, write_report
 from .table import Figures, figures, outside_bands, reduction
+
+FEWEST = 4  # courses
 
 
 class Teller:
@@ -31,6 +35,17 @@ class Teller:
 
     def __call__(self, text: str) -> None:
         print(f"[{time.monotonic() - self.begun:5.0f} s] {text}", flush=True)
+
+    def shares(self) -> Callable[[float, str], None]:
+        """Progress of one long step, told about every tenth."""
+        told = [-1.0]
+
+        def progress(share: float, what: str) -> None:
+            if share > told[-1] + 0.1:
+                told.append(share)
+                self(f"~{100 * share:.0f} % {what}")
+
+        return progress
 
 
 def run_case(case: Case, processes: int, budget: bool) -> int:
@@ -46,17 +61,15 @@ def run_case(case: Case, processes: int, budget: bool) -> int:
     session = calibrated.measured_session(sim, cell, hard.truth, case.out / "session")
     six, eighteen = calibrated.six(session, case.out), calibrated.eighteen(session, case.out)
     say(f"6 DOF leave {_um(six)} um on held-out poses, 18 DOF {_um(eighteen)} um; diagnosing and improving")
-    shares = [-1.0]
-
-    def improving(share: float, what: str) -> None:
-        if share > shares[-1] + 0.1:
-            shares.append(share)
-            say(f"~{100 * share:.0f} % {what}")
-
-    best = calibrated.improved(session, case.out, improving)
+    best = calibrated.improved(session, case.out, say.shares())
     say(f"improved: {' + '.join(best.effects)}, {_um(best)} um on held-out poses")
     ways = ways_of(case, hard)
     rows = tuple(range(0, len(ways.names), case.every))
+    if len(rows) < FEWEST:
+        raise SimError(
+            f"--every {case.every} leaves {len(rows)} of {len(ways.names)} courses; {FEWEST} are needed, half of them to learn "
+            f"from and half to judge on: use --every {(len(ways.names) - 1) // (FEWEST - 1)} or less"
+        )
     models = {k: str(case.out / f"model_{k}.yaml") for k in ("6dof", "18dof", "improved")}
     whole = {
         "without": Job("without", rows),
@@ -68,8 +81,8 @@ def run_case(case: Case, processes: int, budget: bool) -> int:
     plan = budget_jobs(case, say) if budget else None
     say(f"driving {len(rows)} courses without and with correction")
     run_jobs(case, [*whole.values(), *(plan.jobs if plan else [])], say, processes)
-    say("learning latency, force profile, filter and modes on every second course")
-    ladder, told = _ladder(case, hard, ways, rows, whole["improved"], whole["18 DOF"])
+    say("learning on every second course: the arm in motion, latency, force profile, answer of arm and drives, filter")
+    ladder, told = _ladder(case, ways, rows, whole, say)
     run_jobs(case, list(ladder.values()), say, processes)
     found = _collect(case, rows, whole, ladder, told, hard, plan.of(case, cell.tolerance) if plan else None)
     report = write_report(found, case.out)
@@ -86,39 +99,41 @@ def _state(case: Case, state: str) -> None:
 
 
 def _ladder(
-    case: Case, hard: Hard, ways: Ways, rows: tuple[int, ...], improved: Job, eighteen: Job
+    case: Case, ways: Ways, rows: tuple[int, ...], whole: dict[str, Job], say: Teller
 ) -> tuple[dict[str, Job], dict[str, object]]:
     """Jobs on the held-out courses, each with what the one before has and one thing more; and what was learnt."""
-    drive, _ = load(case, improved)
     train, held_out = np.arange(0, len(rows), 2), np.arange(1, len(rows), 2)
-    if len(held_out) == 0:
-        train = held_out = np.arange(len(rows))
+    moving = improved_in_motion(case, whole["without"], train, say.shares())
+    say(f"in motion: {' + '.join(moving.effects)}, {_um(moving)} um on held-out places of the training courses")
+    drive, _ = load(case, whole["improved"])
     latency, bag = learned.latency_of(case, drive, train)
     lead = learned.lead_of(case, latency)
     profile = learned.profile_of(drive, train)
     force, noise = learned.unsteady(case, drive, train, profile)
-    found = learned.structures_of(case, ways.only(np.array(rows)), train)
-    modes = learned.modes_for_design(found)
-    plain, shaped = learned.designs(force, noise, lead, modes, filters_of(case).cutoff)
+    driven = ways.only(np.array(rows))
+    shaken = learned.shaken_at(case, driven, train)
+    plain, shaped = learned.designs(case, force, noise, lead, shaken)
     some = tuple(int(rows[i]) for i in held_out)
     path = learned.write_profiles(profile, ways.only(np.array(some)), np.array(some), case.out / "profiles.npz")
-    base = Job("ladder_0", some, eighteen.model)
-    jobs = {"18 DOF, as in the paper": base}
-    jobs["+ static effects (improve)"] = step = replace(base, name="ladder_1", model=improved.model)
-    jobs["+ latency, extrapolated"] = replace(step, name="ladder_2", lead=float(min(latency.delay, 0.1)))
-    jobs["+ known force profile"] = step = replace(step, name="ladder_3", profiles=str(path), ahead=float(latency.delay))
-    jobs["+ filter for the measured spectrum"] = step = replace(step, name="ladder_4", taps=_taps(plain.taps), ahead=lead)
-    jobs["+ modes of the structure"] = replace(step, name="ladder_5", taps=_taps(shaped.taps))
-    jobs["without correction"] = Job("ladder_without", some)
+    ahead = float(min(latency.delay, 0.1))
+    jobs = {"18 DOF, as in the paper": Job("ladder_0", some, whole["18 DOF"].model)}
+    jobs["+ static effects (improve)"] = Job("ladder_1", some, whole["improved"].model)
+    jobs["+ the arm measured in motion (improve)"] = step = Job("ladder_2", some, str(case.out / "model_moving.yaml"))
+    jobs["+ known force profile"] = known = replace(step, name="ladder_3", profiles=str(path), ahead=ahead)
+    jobs["+ filter for the measured spectrum"] = replace(known, name="ladder_4", taps=_taps(plain.taps), ahead=lead)
+    jobs[LAST] = replace(known, name="ladder_5", taps=_taps(shaped.taps))
+    jobs[NOT_KEPT] = replace(jobs["+ the arm measured in motion (improve)"], name="ladder_lead", lead=ahead)
+    jobs[START] = Job("ladder_without", some)
     told = {
         "latency": latency,
         "bag": bag,
         "lead": lead,
         "noise": noise,
-        "structures": found,
+        "shaken": shaken,
         "plain": plain,
         "shaped": shaped,
         "profile": profile,
+        "moving": moving,
     }
     return jobs, told
 
@@ -156,13 +171,12 @@ def _finish(case: Case, found: Found, say: Teller, report: Path) -> None:
         cut = "" if name == "without" else "{:8.1f} {:8.1f} {:8.1f}".format(*reduction(before, f))
         print(f"  {name:34} {f.mean:8.3f} {f.max:8.3f} {f.std:8.3f}   {cut:27}   {100 * f.inside:12.1f} %")
     print("  on courses that nothing was learnt from:")
-    start = found.rungs["without correction"]
+    start = found.rungs[START]
     for name, f in found.rungs.items():
         cut = "{:8.1f} {:8.1f} {:8.1f}".format(*reduction(start, f))
         print(f"  {name:34} {f.mean:8.3f} {f.max:8.3f} {f.std:8.3f}   {cut:27}   {100 * f.inside:12.1f} %")
     for text in found.outside:
         print(f"  this plant is outside the real cell's bands: {text}")
-    last = list(found.rungs)[-2]
     summary = {
         "format": "irec-case/1",
         "case": case.name,
@@ -170,7 +184,7 @@ def _finish(case: Case, found: Found, say: Teller, report: Path) -> None:
         "table": {n: asdict(f) for n, f in found.table.items()},
         "ladder": {n: asdict(f) for n, f in found.rungs.items()},
         "outside_bands": found.outside,
-        "last_rung_reduction": reduction(start, found.rungs[last]),
+        "last_rung_reduction": reduction(start, found.rungs[LAST]),
         "budget_mm": found.budget.parts if found.budget else None,
         "wall_s": round(time.monotonic() - say.begun, 1),
     }

@@ -58,13 +58,10 @@ def find_structure(force: Array, motion: Array, rate: float) -> Structure:
     length = min(n, int(8.0 * rate))
     if n < 8.0 * rate:
         raise RecordingError(f"{n / rate:.1f} s of force and motion; 8 s are needed to tell modes")
-    kind = {"fs": rate, "nperseg": length // 2, "axis": 0}
-    f, F = signal.csd(force[:n, :, None], force[:n, None, :], **kind)
-    _, X = signal.csd(force[:n, :, None], motion[:n, None, :], **kind)
+    f, F, H = frequency_response(force[:n], motion[:n], rate, length // 2)
     used = (f >= LOWEST) & (f <= min(HIGHEST, 0.4 * rate))
-    Fs = F[used] + 1e-9 * np.trace(F[used], axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    H = np.linalg.solve(Fs, X[used]).swapaxes(1, 2)  # motion per force
-    power = np.trace(signal.csd(motion[:n, :, None], motion[:n, None, :], **kind)[1][used], axis1=1, axis2=2).real
+    Fs, H = F[used], H[used]
+    power = np.stack([signal.welch(motion[:n, k], fs=rate, nperseg=length // 2)[1] for k in range(3)]).sum(axis=0)[used]
     weight = np.sqrt(np.maximum(np.trace(Fs, axis1=1, axis2=2).real, 0.0))
     told = np.einsum("kij,kjl,kil->k", H, Fs, H.conj()).real / np.maximum(power, 1e-300)
     if float(np.median(told)) < LEAST_COHERENCE:
@@ -74,6 +71,19 @@ def find_structure(force: Array, motion: Array, rate: float) -> Structure:
         )
     pushed = weight > LEAST_FORCE * weight.max()  # where there was no force, there is only noise
     return _fit(f[used][pushed], H[pushed], weight[pushed] / weight.max())
+
+
+def frequency_response(given: Array, motion: Array, rate: float, samples: int) -> tuple[Array, Array, Array]:
+    """Motion of the TCP (n, 3) per force or offset that was given (n, 3), over frequency.
+
+    Returns:
+        frequency (k,), Hz; spectrum of what was given (k, 3, 3); response (k, 3, 3), complex. Averaged over blocks of `samples`.
+    """
+    kind = {"fs": rate, "nperseg": samples, "axis": 0}
+    f, S = signal.csd(given[:, :, None], given[:, None, :], **kind)
+    _, X = signal.csd(given[:, :, None], motion[:, None, :], **kind)
+    S = S + 1e-9 * np.trace(S, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    return f, S, np.linalg.solve(S, X).swapaxes(1, 2)
 
 
 def _fit(f: Array, H: Array, weight: Array) -> Structure:
