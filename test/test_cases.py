@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,34 +15,90 @@ sys.path.insert(0, str(ROOT / "tools"))
 
 from case_parts import calibrated  # noqa: E402
 from case_parts.jobs import Case, Job, corrected  # noqa: E402
+from case_parts.moving import moving_session  # noqa: E402
+from case_parts.story import courses_of  # noqa: E402
 from case_parts.table import Figures, figures, outside_bands  # noqa: E402
 from irec_calibration.cell import read_cell  # noqa: E402
+from irec_calibration.identification.observe import observe  # noqa: E402
+from irec_calibration.model import EIGHTEEN_DOF, blank_model  # noqa: E402
+from irec_calibration.recertification.judgement import residual_of  # noqa: E402
+from irec_calibration.sensors.structure import frequency_response  # noqa: E402
+from irec_calibration.session import read_session  # noqa: E402
+from irec_sim.cellfile import CellFile  # noqa: E402
 from irec_sim.cellfile import read_cell as read_sim_cell  # noqa: E402
-from irec_sim.production.hard import CAUSES, read_hard, without  # noqa: E402
-from irec_sim.production.runner import drive  # noqa: E402
-from irec_sim.production.ways import make_ways  # noqa: E402
+from irec_sim.errors import SimError  # noqa: E402
+from irec_sim.production.hard import CAUSES, Hard, read_hard, without  # noqa: E402
+from irec_sim.production.runner import Drive, drive  # noqa: E402
+from irec_sim.production.tap import shake  # noqa: E402
+from irec_sim.production.ways import PERIOD, Ways, make_ways  # noqa: E402
+
+from irec_calibration import diagnose  # noqa: E402
 
 COURSES = {"afp": (4, 8, 24, 28)}
 
 
-@pytest.mark.parametrize("name", ["afp"])
-def test_the_papers_own_correction_does_on_the_hard_plant_what_it_did_on_the_real_cell(name: str, tmp_path: Path) -> None:
-    case = Case(name, tmp_path)
+@dataclass(frozen=True)
+class Calibrated:
+    """The cell calibrated on its hard plant, and some courses driven without correction."""
+
+    case: Case
+    sim: CellFile
+    hard: Hard
+    session: Path
+    ways: Ways
+    uncorrected: Drive
+
+
+@pytest.fixture(scope="module")
+def afp(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
+    case = Case("afp", tmp_path_factory.mktemp("afp"))
     sim, cell = read_sim_cell(case.cell_path), read_cell(case.cell_path)
     hard = read_hard(case.truth_path, sim)
-    session = calibrated.measured_session(sim, cell, hard.truth, tmp_path / "session")
-    calibrated.eighteen(session, tmp_path)
-    ways = _some(make_ways(sim, hard.process), COURSES[name])
-    job = Job("18dof", COURSES[name], str(tmp_path / "model_18dof.yaml"))
-    controller = corrected(case, job, ways)
-    before, after = (figures(drive(sim, hard, ways, c), cell.tolerance) for c in (None, controller))
-    assert outside_bands(name, before, after) == []
+    session = calibrated.measured_session(sim, cell, hard.truth, case.out / "session")
+    calibrated.eighteen(session, case.out)
+    ways = make_ways(sim, hard.process).only(np.array(COURSES["afp"]))
+    return Calibrated(case, sim, hard, session, ways, drive(sim, hard, ways))
+
+
+def test_the_papers_own_correction_does_on_the_hard_plant_what_it_did_on_the_real_cell(afp: Calibrated) -> None:
+    controller = corrected(afp.case, Job("18dof", COURSES["afp"], str(afp.case.out / "model_18dof.yaml")), afp.ways)
+    tolerance = read_cell(afp.case.cell_path).tolerance
+    before, after = (figures(d, tolerance) for d in (afp.uncorrected, drive(afp.sim, afp.hard, afp.ways, controller)))
+    assert outside_bands("afp", before, after) == []
     assert controller.told()["active_share"] > 0.95  # the correction was in force, and no watchdog took it out
     assert controller.told()["findings"] == 0
 
 
-def _some(ways, rows):  # type: ignore[no-untyped-def]
-    return ways.only(np.array(rows))
+def test_a_model_of_the_arm_in_motion_foretells_other_courses_better_than_one_of_the_standing_arm(afp: Calibrated) -> None:
+    """Friction holds a part of the compliance of a standing arm only."""
+    train, other = (
+        moving_session(afp.sim.chain, afp.uncorrected, np.array(rows), afp.session, afp.case.out / f"moving_{rows[0]}")
+        for rows in ((0, 2), (1, 3))
+    )
+    standing, moving = (
+        diagnose.solved(read_session(s), blank_model([*EIGHTEEN_DOF, "joint_backlash"]))[0] for s in (afp.session, train)
+    )
+    observation = observe(read_session(other))
+    left = [float(np.linalg.norm(residual_of(m, observation), axis=1).mean()) for m in (standing, moving)]
+    assert left[1] < 0.85 * left[0]
+
+
+def test_an_offset_reaches_the_standing_arm_as_late_as_transport_and_drives_are(afp: Calibrated) -> None:
+    k = 300
+    sent, moved = shake(afp.sim, afp.hard, afp.ways.q[k, 1], float(afp.ways.rail[1]), seconds=9.0)
+    f, _, H = frequency_response(sent, moved, 1.0 / PERIOD, 750)
+    at = (f > 4.0) & (f < 7.0)
+    delay = -np.angle(np.trace(H[at], axis1=1, axis2=2)) / (2.0 * np.pi * f[at])
+    channel = afp.hard.channel
+    assert channel is not None
+    expected = channel.delay + 0.5 * channel.jitter + PERIOD + channel.servo_damping / (np.pi * channel.servo)
+    assert float(np.median(delay)) == pytest.approx(expected, abs=0.006)
+
+
+def test_too_few_courses_to_learn_from_are_refused_with_what_to_do() -> None:
+    with pytest.raises(SimError, match="use --every 10 or less"):
+        courses_of(Case("afp", Path(), every=16), 32)
+    assert len(courses_of(Case("afp", Path(), every=10), 32)) == 4
 
 
 def test_a_plant_out_of_its_bands_is_told() -> None:

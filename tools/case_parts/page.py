@@ -35,6 +35,7 @@ class Found:
     hard: Hard
     budget: Budget | None
     outside: list[str]
+    numbered: list[Section]
 
 
 def write_report(found: Found, folder: Path) -> Path:
@@ -55,6 +56,7 @@ def write_report(found: Found, folder: Path) -> Path:
     sections = [_table_one(found), _maps(found, folder), _course(found, folder), _ladder(found, folder), _learned(found, folder)]
     if found.budget is not None:
         sections.append(_budget(found, folder))
+    sections += found.numbered
     sections.append(_honest(found))
     page = Page(
         title=f"{paper.title}: simulated, beside the paper",
@@ -62,7 +64,7 @@ def write_report(found: Found, folder: Path) -> Path:
         f"config/truths/case_{found.case}.yaml",
         verdict=verdict,
         status="unexplained" if found.outside else "adequate",
-        sections=[s for s in sections if s],
+        sections=sections,
     )
     return write_page(page, folder / "report.html")
 

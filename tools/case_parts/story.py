@@ -21,6 +21,7 @@ from . import calibrated, learned
 from .budget import Budget, budget_jobs
 from .jobs import Case, Job, load, run_jobs, ways_of
 from .moving import improved_in_motion
+from .numbered import numbered
 from .page import LAST, NOT_KEPT, START, Found, write_report
 from .table import Figures, figures, outside_bands, reduction
 
@@ -54,6 +55,8 @@ def run_case(case: Case, processes: int, budget: bool) -> int:
     _state(case, "running")
     sim, cell = read_sim_cell(case.cell_path), read_cell(case.cell_path)
     hard = read_hard(case.truth_path, sim)
+    ways = ways_of(case, hard)
+    rows = courses_of(case, len(ways.names))
     say(
         "calibrating on the hard plant at the planned poses (sessions generated directly, not through the nodes; "
         "`make demo` does that)"
@@ -63,13 +66,6 @@ def run_case(case: Case, processes: int, budget: bool) -> int:
     say(f"6 DOF leave {_um(six)} um on held-out poses, 18 DOF {_um(eighteen)} um; diagnosing and improving")
     best = calibrated.improved(session, case.out, say.shares())
     say(f"improved: {' + '.join(best.effects)}, {_um(best)} um on held-out poses")
-    ways = ways_of(case, hard)
-    rows = tuple(range(0, len(ways.names), case.every))
-    if len(rows) < FEWEST:
-        raise SimError(
-            f"--every {case.every} leaves {len(rows)} of {len(ways.names)} courses; {FEWEST} are needed, half of them to learn "
-            f"from and half to judge on: use --every {(len(ways.names) - 1) // (FEWEST - 1)} or less"
-        )
     models = {k: str(case.out / f"model_{k}.yaml") for k in ("6dof", "18dof", "improved")}
     whole = {
         "without": Job("without", rows),
@@ -84,10 +80,22 @@ def run_case(case: Case, processes: int, budget: bool) -> int:
     say("learning on every second course: the arm in motion, latency, force profile, answer of arm and drives, filter")
     ladder, told = _ladder(case, ways, rows, whole, say)
     run_jobs(case, list(ladder.values()), say, processes)
+    say("drawing the figures")
     found = _collect(case, rows, whole, ladder, told, hard, plan.of(case, cell.tolerance) if plan else None)
     report = write_report(found, case.out)
     _finish(case, found, say, report)
     return 1 if found.outside else 0
+
+
+def courses_of(case: Case, count: int) -> tuple[int, ...]:
+    """Courses that are driven, of `count`. Raises SimError: too few."""
+    rows = tuple(range(0, count, case.every))
+    if len(rows) < FEWEST:
+        raise SimError(
+            f"--every {case.every} leaves {len(rows)} of {count} courses; {FEWEST} are needed, half of them to learn "
+            f"from and half to judge on: use --every {(count - 1) // (FEWEST - 1)} or less"
+        )
+    return rows
 
 
 def _um(model) -> str:  # type: ignore[no-untyped-def]
@@ -161,6 +169,7 @@ def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None) -> Fo
         hard,
         budget,
         outside,
+        numbered(case),
     )
 
 
