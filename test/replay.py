@@ -12,7 +12,7 @@ import rclpy
 from irec_calibration.recording import BagReader
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-PATIENCE = 20.0  # s
+PATIENCE = 90.0  # s
 
 
 def wait_for(node: Any, listener: str, publishers: dict[str, Any]) -> None:

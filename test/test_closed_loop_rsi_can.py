@@ -7,7 +7,7 @@ import os
 import shutil
 import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -80,15 +80,20 @@ class Operator:
         self._client = self._node.create_client(ActivateModel, "irec/correction/activate_model")
 
     def activate(self, line: Line, model: Path) -> None:
+        from irec_ros.seen import SeenBy
+
+        def spun(condition: Callable[[], bool]) -> Callable[[], bool]:
+            def look() -> bool:
+                self._executor.spin_once(timeout_sec=0.0)
+                return condition()
+
+            return look
+
+        line.until(spun(SeenBy(self._node, "irec/correction/activate_model")), START, "bridge that knows this client")
         answer = self._client.call_async(self._request(model_path=str(model)))
-
-        def done() -> bool:
-            self._executor.spin_once(timeout_sec=0.0)
-            return answer.done()
-
-        line.until(done, 20.0, "answer of activate_model")
+        line.until(spun(answer.done), START, "answer of activate_model")
         assert answer.result().success, answer.result().message
-        line.until(lambda: np.linalg.norm(line.sent[-1]) > UNDER_FORCE, 20.0, "offset after starting again")
+        line.until(lambda: np.linalg.norm(line.sent[-1]) > UNDER_FORCE, START, "offset after starting again")
         line.drive(0.7)
 
     def close(self) -> None:
@@ -131,13 +136,13 @@ def test_failures_make_no_step_and_only_a_dead_process_stops_the_robot(model, li
 
     for fault in ("silent", "frozen"):
         setattr(line.sensor.faults, fault, True)
-        line.until(gone, 20.0, f"offset faded out while the sensor is {fault}")
+        line.until(gone, START, f"offset faded out while the sensor is {fault}")
         setattr(line.sensor.faults, fault, False)
         line.drive(0.3)
         assert gone()  # it waits for the operator
         operator.activate(line, model)
     line.adapter.unplug()
-    line.until(gone, 20.0, "offset faded out after CAN was unplugged")
+    line.until(gone, START, "offset faded out after CAN was unplugged")
     for node in children_of(bridge.pid):
         os.kill(node, signal.SIGKILL)
     line.drive(0.5)

@@ -25,7 +25,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.ros
-PATIENCE = 30.0  # s
+PATIENCE = 90.0  # s
 TABLE = (
     P("cell", "", "cell file"),
     P("speed", 1.0, "simulated per real seconds", 0.1, 100.0, settable=True),

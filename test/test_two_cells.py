@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -27,6 +28,7 @@ from irec_calibration.model.file import save_model
 from irec_calibration.poses.plan import make_plan, pose_list
 from irec_calibration.poses.store import write_poses
 from irec_calibration.session import read_session
+from irec_ros.seen import SeenBy
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
@@ -50,6 +52,12 @@ def node(module: str, namespace: str, **parameters: object) -> list[str]:
     settings = [text for name, value in parameters.items() for text in ("-p", f"{name}:={value}")]
     rules = ["-r", f"__ns:=/{namespace}", "-r", f"/clock:=/{namespace}/clock"] if namespace else []
     return [sys.executable, "-m", module, "--ros-args", *rules, *settings]
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
 
 
 AT_WORK = (CorrectionState.RAMP_IN, CorrectionState.ACTIVE, CorrectionState.HOLD)  # a busy machine's gap is held over
@@ -106,8 +114,7 @@ def test_two_cells_measure_and_correct_side_by_side_on_one_graph(ros_domain: int
         for side in sides:
             client = ActionClient(listener, RunProcedure, f"/{side}/irec/run_procedure")
             until(listener, client.server_is_ready, f"procedure of {side}")
-            seen = time.monotonic() + 1.5  # the server has to find this client too, or its answer is lost
-            until(listener, lambda s=seen: time.monotonic() > s, "nothing")
+            until(listener, SeenBy.of_action(listener, f"/{side}/irec/run_procedure"), f"procedure of {side} that knows us")
             runs[side] = client.send_goal_async(RunProcedure.Goal(poses_path=str(poses)))
         until(listener, lambda: all(r.done() for r in runs.values()), "answers")
         ends = {side: r.result().get_result_async() for side, r in runs.items()}
@@ -119,8 +126,8 @@ def test_two_cells_measure_and_correct_side_by_side_on_one_graph(ros_domain: int
         assert all(len(read_session(path)) == 12 for path in paths)
         until(listener, lambda: len(clocks) == 2, "two clocks")
         assert listener.count_publishers("/clock") == 0
-        for task in ("cell: robot", "procedure_node: procedure"):
-            assert {f"{side}/{task}" for side in sides} <= told, told
+        tasks = {f"{side}/{task}" for side in sides for task in ("cell: robot", "procedure_node: procedure")}
+        until(listener, lambda: tasks <= told, "diagnostics of both cells, each under its name")
         for side in sides:  # the correction of one cell begins, that of the other stays as it is
             before = dict(states)
             lifecycle(listener, f"/{side}/correction_node", ("configure", "activate"))
@@ -138,6 +145,7 @@ def lifecycle(listener: Any, name: str, transitions: tuple[str, ...]) -> None:
     ids = {"configure": 1, "activate": 3, "deactivate": 4}
     client = listener.create_client(ChangeState, f"{name}/change_state")
     until(listener, client.service_is_ready, f"{name}/change_state")
+    until(listener, SeenBy(listener, f"{name}/change_state"), f"{name} that knows the client")
     for transition in transitions:
         request = ChangeState.Request()
         request.transition.id = ids[transition]
@@ -156,7 +164,7 @@ def test_all_nodes_run_together_are_managed_refuse_what_is_fixed_and_end_quietly
         "calibration": node("irec_calibration.nodes.calibration_node", "", cell=CELL, calibration_folder=tmp_path / "c"),
         "recorder": node("irec_calibration.nodes.recorder_node", "", output=tmp_path / "r", topics="[joint_states, wrench]"),
         "correction": node("irec_correction.nodes.correction_node", "", **common, autostart="true", model_path=model),
-        "tracker": node("irec_calibration.nodes.tracker_driver", "", source="udp://127.0.0.1:47611", station="A"),
+        "tracker": node("irec_calibration.nodes.tracker_driver", "", source=f"udp://127.0.0.1:{free_port()}", station="A"),
     }
     processes = {name: start_process(arguments, name=name) for name, arguments in started.items()}
     rclpy.init()
@@ -166,14 +174,14 @@ def test_all_nodes_run_together_are_managed_refuse_what_is_fixed_and_end_quietly
         until(listener, lambda: wanted <= set(listener.get_node_names()), "nodes")
         client = listener.create_client(SetParameters, "/procedure_node/set_parameters")
         until(listener, client.service_is_ready, "parameters")
+        until(listener, SeenBy(listener, "/procedure_node/set_parameters"), "procedure_node that knows the client")
         future = client.call_async(SetParameters.Request(parameters=[Parameter("cell", value="x.yaml").to_parameter_msg()]))
         until(listener, future.done, "answer")
         (answer,) = future.result().results
         assert not answer.successful and "read-only" in answer.reason
         runs = ActionClient(listener, RunProcedure, "/irec/run_procedure")
         until(listener, runs.server_is_ready, "procedure")
-        seen = time.monotonic() + 1.5  # the server has to find this client too, or its answer is lost
-        until(listener, lambda: time.monotonic() > seen, "nothing")
+        until(listener, SeenBy.of_action(listener, "/irec/run_procedure"), "procedure that knows the client")
         lifecycle(listener, "/procedure_node", ("deactivate",))
         sent = runs.send_goal_async(RunProcedure.Goal())
         until(listener, sent.done, "answer")

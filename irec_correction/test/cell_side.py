@@ -11,9 +11,11 @@ import numpy as np
 from chain import WRENCH, Q, model
 from irec_calibration.cell import read_cell
 from irec_calibration.model.file import save_model
+from irec_ros.seen import SeenBy
 
 CELL = Path(__file__).parents[2] / "config/cells/afp.yaml"
 START = 90.0  # s for a process to come up on a busy machine
+QUEUE = 5000  # messages: none is lost while a busy machine stops this process
 
 
 class CellSide:
@@ -40,7 +42,7 @@ class CellSide:
         self.diagnostics: list[DiagnosticArray] = []
         self.joints = self.node.create_publisher(JointState, "joint_states", 50)
         self.wrench = self.node.create_publisher(WrenchStamped, "wrench", 50)
-        self.node.create_subscription(TransformStamped, "irec/offset", self._on_offset, 50)
+        self.node.create_subscription(TransformStamped, "irec/offset", self._on_offset, QUEUE)
         self.node.create_subscription(CorrectionState, "irec/correction/state", self.states.append, 50)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
         self.service = self.node.create_client(ActivateModel, "irec/correction/activate_model")
@@ -72,15 +74,20 @@ class CellSide:
             w.wrench.torque.x, w.wrench.torque.y, w.wrench.torque.z = f[3:]
             self.wrench.publish(w)
 
-    def until(self, condition, seconds: float = 20.0, what: str = "condition") -> None:
+    def until(self, condition, seconds: float = START, what: str = "condition") -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, f"{what} not met within {seconds} s; last state {self.states[-1:]}"
             self.executor.spin_once(timeout_sec=0.05)
 
     def activate(self, path: str):
-        self.until(self.service.service_is_ready, START, "service")
-        answer = self.service.call_async(self.request(model_path=path))
+        return self.call(self.service, self.request(model_path=path))
+
+    def call(self, client, request):
+        """Answer of a service."""
+        self.until(client.service_is_ready, what="service")
+        self.until(SeenBy(self.node, client.srv_name), what="the server finds this client")
+        answer = client.call_async(request)
         self.until(answer.done, what="answer")
         return answer.result()
 

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from irec_ros.seen import SeenBy
+
 START = 90.0  # s for a process to come up on a busy machine
 
 
@@ -48,6 +50,7 @@ class RosSide:
         """Answer of a service."""
         client = self.node.create_client(kind, name)
         self.until(client.service_is_ready, f"service {name}", each=each)
+        self.until(SeenBy(self.node, name), f"server of {name} finds this client", each=each)
         answer = client.call_async(request)
         self.until(answer.done, f"answer of {name}", each=each)
         self.node.destroy_client(client)

@@ -35,11 +35,11 @@ def test_readings_come_as_messages_and_in_shared_memory_and_bias_takes_them_as_z
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     seen: list[WrenchStamped] = []
+    client = node.create_client(Trigger, "can_ft_node/bias")  # before the subscription: who is heard has found the client
     node.create_subscription(WrenchStamped, "wrench_raw", seen.append, 50)
-    client = node.create_client(Trigger, "can_ft_node/bias")
 
     def until(condition, what: str) -> None:
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + 120.0
         while not condition():
             assert time.monotonic() < end, what
             executor.spin_once(timeout_sec=0.05)

@@ -21,8 +21,8 @@ STEP = 0.02 * 0.004 * 3  # messages may be lost on the way here: three ticks at 
 def node(ros_domain, start_process) -> subprocess.Popen[bytes]:
     return start_process([
         sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
-        "-p", "autostart:=true", "-p", "watch.wrench_timeout:=1.0", "-p", "watch.joints_timeout:=1.0",
-        "-p", "watch.frozen_after:=1.0", "-p", "watch.clock_tolerance:=5.0",
+        "-p", "autostart:=true", "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0",
+        "-p", "watch.frozen_after:=2.0", "-p", "watch.clock_tolerance:=5.0",
         "-p", "filter.cutoff:=0.0",
     ], name="correction")  # fmt: skip
 
@@ -82,10 +82,8 @@ def test_a_description_of_another_robot_fades_out_and_stays_a_fault_until_it_is_
 
     description.publish(String(data=read_cell(CELL).robot.urdf_text))
     change = active.node.create_client(ChangeState, "correction_node/change_state")
-    active.until(change.service_is_ready, what="service")
-    activate = change.call_async(ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE)))
-    active.until(activate.done, what="answer")
-    assert activate.result().success, "after a FAULT, 'activate' is all that is needed"
+    activate = active.call(change, ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE)))
+    assert activate.success, "after a FAULT, 'activate' is all that is needed"
     state_of(active, ACTIVE)
     assert largest_step(active) <= STEP
 
@@ -113,15 +111,12 @@ def test_a_limit_that_is_set_at_run_time_acts_and_what_does_not_act_is_refused(a
     from rclpy.parameter import Parameter
 
     client = active.node.create_client(SetParameters, "correction_node/set_parameters")
-    active.until(client.service_is_ready, what="service")
 
     def put(name: str, value: object) -> bool:
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        answer = client.call_async(request)
-        active.until(answer.done, what="answer")
-        return answer.result().results[0].successful
+        return active.call(client, request).results[0].successful
 
-    assert np.linalg.norm(active.offsets[-1]) > 5e-4
+    active.until(lambda: np.linalg.norm(active.offsets[-1]) > 5e-4, what="offset of the model")
     assert put("limit.translation", 2e-4)
     active.until(lambda: np.linalg.norm(active.offsets[-1]) < 2.001e-4, what="lower limit")
     assert not put("limit.translation", 5.0)

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.ros
 def cell_side(ros_domain, start_process):
     start_process([
         sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
-        "-p", "autostart:=true", "-p", "watch.wrench_timeout:=0.2", "-p", "watch.joints_timeout:=0.5",
+        "-p", "autostart:=true", "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0",
         "-p", "filter.cutoff:=20.0", "-p", "output:=both",
     ], name="correction")  # fmt: skip
     side = CellSide()
@@ -61,7 +61,7 @@ def check_joint_offset(message, deflection):
 @pytest.mark.parametrize("module", ["correction_node", "rsi_bridge", "can_ft_node"])
 def test_ros_arguments_that_cannot_be_read_are_a_line_and_no_trace(ros_domain, module):
     arguments = [sys.executable, "-m", f"irec_correction.nodes.{module}", "--ros-args", "--params-file", "/nowhere/params.yaml"]
-    done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=180, check=False)
     assert done.returncode == 2
     assert "/nowhere/params.yaml" in done.stderr
     assert "Traceback" not in done.stderr

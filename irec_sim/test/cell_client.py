@@ -35,7 +35,7 @@ STREAMS = {
     "/clock": Clock,
 }
 FOLLOWING = 0.05  # s of simulated time between two words to the cell
-PATIENCE = 30.0  # s of the machine's clock
+PATIENCE = 90.0  # s of the machine's clock
 
 
 def seconds(stamp: Any) -> float:
@@ -54,14 +54,15 @@ class Client:
         self.told = 0.0
         self.pressing: tuple[float, float, float] | None = None  # set point that is renewed while waiting, N
         self.got: dict[str, list[Any]] = defaultdict(list)
-        for topic, kind in STREAMS.items():
-            self.node.create_subscription(kind, topic, self.got[topic].append, 2000)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(String, "robot_description", self.got["robot_description"].append, latched)
         self.move = ActionClient(self.node, Move, "robot/move")
         self.mode = self.node.create_client(SetControlMode, "robot/set_control_mode")
         self.course = self.node.create_client(Trigger, "sim/run_course")
         self.clear = self.node.create_client(Trigger, "sim/clear_fault")
+        # after the clients: a cell whose streams come in here has found the clients too, and they get its answers
+        for topic, kind in STREAMS.items():
+            self.node.create_subscription(kind, topic, self.got[topic].append, 2000)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.node.create_subscription(String, "robot_description", self.got["robot_description"].append, latched)
         self.offset = self.node.create_publisher(TransformStamped, "irec/offset", 10)
         self.force = self.node.create_publisher(WrenchStamped, "robot/force_setpoint", 10)
         self.follower = self.node.create_publisher(Header, "sim/follower", 10)

@@ -272,8 +272,9 @@ def test_the_cell_does_not_outrun_a_follower(cell: Client) -> None:
 def test_the_course_records_the_true_deviation(ros_domain: int, start_process: Start, tmp_path: Path) -> None:
     start_process(cell_arguments(speed_factor=30.0, course_csv=tmp_path / "course.csv", **FEW_MESSAGES), name="cell")
     with client() as cell:
+        cell.wait_for_cell()
         for _ in range(2):  # the second begins where the first has ended
-            answer = cell.call(cell.course, Trigger.Request(), patience=60.0)
+            answer = cell.call(cell.course, Trigger.Request(), patience=120.0)
             assert answer.success, answer.message
     with open(answer.message, newline="") as file:
         rows = list(csv.DictReader(file))
@@ -295,7 +296,7 @@ def test_the_course_records_the_true_deviation(ros_domain: int, start_process: S
     ],
 )
 def test_a_wrong_parameter_ends_the_node_with_one_line(ros_domain: int, parameter: str, value: object, named: str) -> None:
-    done = subprocess.run(cell_arguments(**{parameter: value}), capture_output=True, text=True, timeout=30)
+    done = subprocess.run(cell_arguments(**{parameter: value}), capture_output=True, text=True, timeout=180)
     assert done.returncode == 2
     assert named in done.stderr
     assert "Traceback" not in done.stderr
@@ -303,7 +304,7 @@ def test_a_wrong_parameter_ends_the_node_with_one_line(ros_domain: int, paramete
 
 def test_ros_arguments_that_cannot_be_read_end_the_node_with_the_reason(ros_domain: int) -> None:
     arguments = [*cell_arguments(), "--params-file", "/nowhere/params.yaml"]
-    done = subprocess.run(arguments, capture_output=True, text=True, timeout=30)
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=180)
     assert done.returncode == 2
     assert "/nowhere/params.yaml" in done.stderr
     assert "Traceback" not in done.stderr
@@ -322,4 +323,4 @@ def test_an_interrupt_ends_the_node_cleanly(ros_domain: int, start_process: Star
     with client() as cell:
         cell.wait_for_cell()
     process.send_signal(signal.SIGINT)
-    assert process.wait(10) == 0
+    assert process.wait(60) == 0

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
+from irec_ros.seen import SeenBy
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -15,7 +16,6 @@ from rclpy.signals import SignalHandlerOptions
 from irec_msgs.action import Move, RunProcedure
 
 SERVER_WAIT = 120.0  # s; a process that has ended is told at once
-SEEN = 1.5  # s in which the server of an action finds a client that has found it
 
 
 class RequestRefused(RuntimeError):
@@ -52,6 +52,7 @@ class Operator:
         """Response of a service; tell(seconds waited) is called now and then."""
         client = self.node.create_client(kind, name)
         self._until(client.service_is_ready, SERVER_WAIT, f"service {name} is not there")
+        self._until(SeenBy(self.node, name), SERVER_WAIT, f"the node of service {name} does not answer")
         future = client.call_async(request)
         self._until(future.done, timeout, f"service {name} did not answer", tell)
         self.node.destroy_client(client)
@@ -61,7 +62,7 @@ class Operator:
         """Move the robot to joint angles, rad; speed is a share of the limits."""
         client = ActionClient(self.node, Move, "robot/move")
         self._until(client.server_is_ready, SERVER_WAIT, "action robot/move is not there")
-        self._wait_until_seen()
+        self._until(SeenBy.of_action(self.node, "robot/move"), SERVER_WAIT, "the node of action robot/move does not answer")
         names = [f"joint_{i + 1}" for i in range(len(q))]
         goal = Move.Goal(kind=Move.Goal.JOINT, joint_names=names, joint_position=[float(v) for v in q], speed=float(speed))
         accepted = client.send_goal_async(goal)
@@ -79,7 +80,7 @@ class Operator:
         """Result of an action. An interrupt cancels the run and waits until the robot has retracted."""
         client = ActionClient(self.node, kind, name)
         self._until(client.server_is_ready, SERVER_WAIT, f"action {name} is not there")
-        self._wait_until_seen()
+        self._until(SeenBy.of_action(self.node, name), SERVER_WAIT, f"the node of action {name} does not answer")
         accepted = client.send_goal_async(goal, feedback_callback=lambda m: tell(m.feedback))
         self._until(accepted.done, SERVER_WAIT, f"{name} did not accept the run")
         handle = accepted.result()
@@ -93,12 +94,6 @@ class Operator:
             self._until(result.done, SERVER_WAIT, f"{name} did not end after it was cancelled")
             raise
         return result.result().result
-
-    def _wait_until_seen(self) -> None:
-        """The server has to find this client too, which nobody can ask for; before that its answer would be lost."""
-        seen = time.monotonic() + SEEN
-        while time.monotonic() < seen:
-            self.spin(0.05)
 
     def _until(
         self, done: Callable[[], bool], timeout: float, otherwise: str, tell: Callable[[float], None] | None = None

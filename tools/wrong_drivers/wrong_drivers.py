@@ -74,6 +74,7 @@ class Line:
     def __init__(self, start: Callable[[str, list[str]], Any], folder: Path) -> None:
         """start: (name, arguments) -> process, which somebody else ends."""
         import rclpy
+        from irec_ros.seen import SeenBy
         from rcl_interfaces.srv import SetParameters
         from rclpy.action import ActionClient
 
@@ -88,6 +89,8 @@ class Line:
         self._action = ActionClient(self.node, RunProcedure, "irec/run_procedure")
         self._set = self.node.create_client(SetParameters, "cell/set_parameters")
         self._until(lambda: self._action.server_is_ready() and self._set.service_is_ready(), "driver and procedure")
+        self._until(SeenBy.of_action(self.node, "irec/run_procedure"), "procedure that knows the client")
+        self._until(SeenBy(self.node, "cell/set_parameters"), "driver that knows the client")
 
     def _until(self, condition: Callable[[], bool], what: str) -> None:
         import rclpy

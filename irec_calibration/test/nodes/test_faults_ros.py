@@ -7,10 +7,12 @@ import itertools
 import os
 import signal
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 SPEED = 6.0
+FIND = 2.0  # s
 
 
 class Cell:
@@ -102,8 +105,8 @@ def test_a_clock_that_is_set_in_contact_ends_the_run_within_seconds(cell: Cell) 
     clock = cell.operator.node.create_publisher(Clock, "/clock", 10)
     cell.operator.until(lambda: clock.get_subscription_count() > 0)
     handle = in_contact(cell)
-    now = cell.operator.robot.header.stamp if cell.operator.robot else None
-    assert now is not None
+    assert cell.operator.robot is not None
+    now = cell.operator.robot.header.stamp
     jumps = itertools.cycle((1000, 1000, 1000, -20))
     result = handle.get_result_async()
 
@@ -117,7 +120,6 @@ def test_a_clock_that_is_set_in_contact_ends_the_run_within_seconds(cell: Cell) 
     cell.operator.until(ended)
     end = result.result()
     assert end.status == ABORTED and "clock" in end.result.message
-    assert cell.operator.robot is not None
     cell.operator.until(lambda: cell.operator.robot.mode == RobotState.MODE_POSITION)  # type: ignore[union-attr]
 
 
@@ -134,7 +136,7 @@ def test_a_recording_that_fails_ends_the_run_retracted_and_the_next_one_works(
     try:
         end = operator.end(operator.start(session_path=str(tmp_path / "s.mcap")))
         assert end.status == ABORTED and "recording" in end.result.message, end.result.message
-        assert operator.robot is not None and operator.robot.mode == RobotState.MODE_POSITION
+        operator.until(lambda: operator.robot is not None and operator.robot.mode == RobotState.MODE_POSITION)
         assert process.poll() is None
     finally:
         operator.node.destroy_node()
@@ -155,7 +157,9 @@ def test_two_procedures_do_not_drive_one_robot(cell: Cell) -> None:
     arguments = {"cell": CELL, "session_folder": cell.folder, "use_sim_time": "true"}
     cell.start(node("irec_calibration.nodes.procedure_node", **arguments), name="second")
     robot = cell.operator
-    robot.until(lambda: robot.node.count_publishers("robot/force_setpoint") == 2)
+    robot.until(lambda: robot.node.count_publishers("robot/force_setpoint") == 2 and bool(np.isfinite(robot.p_tcp).all()))
+    found = time.monotonic() + FIND  # the procedures have to find each other, which nobody can ask them
+    robot.until(lambda: time.monotonic() > found)
     p_before = robot.p_tcp
     end = robot.end(robot.start(session_path=str(cell.folder / "s.mcap")))
     assert end.status == ABORTED

@@ -29,6 +29,7 @@ from irec_calibration.poses.store import write_poses
 from irec_calibration.recertification.store import Store
 from irec_calibration.recording import BagReader
 from irec_calibration.session import read_session
+from irec_ros.seen import SeenBy
 from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 
@@ -43,7 +44,6 @@ pytestmark = pytest.mark.ros
 CELL = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
 SPRING = Term(find_effect("joint_torsion"))
 PATIENCE = 240.0  # s of the machine's clock
-SEEN = 1.5  # s in which the server of an action finds a client that has found it; before that its answers get lost
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 
@@ -60,7 +60,7 @@ class Operator:
         self.action = ActionClient(self.node, RunProcedure, "irec/run_procedure")
         self.feedback: list[RunProcedure.Feedback] = []
         self.robot: RobotState | None = None
-        self.seen_until = 0.0
+        self.seen = SeenBy.of_action(self.node, "irec/run_procedure")
         self.p_tcp = np.full(3, np.nan)
         self.node.create_subscription(RobotState, "robot/state", self._on_state, 10)
         self.node.create_subscription(PoseStamped, "tcp_pose", self._on_tcp, 1)
@@ -82,9 +82,7 @@ class Operator:
     def start(self, **goal: Any) -> Any:
         """Handle of an accepted run."""
         self.until(self.action.server_is_ready)
-        while not self.seen_until or time.monotonic() < self.seen_until:
-            self.seen_until = self.seen_until or time.monotonic() + SEEN
-            rclpy.spin_once(self.node, timeout_sec=0.05)
+        self.until(self.seen)
         self.feedback.clear()
         future = self.action.send_goal_async(
             RunProcedure.Goal(**goal), feedback_callback=lambda m: self.feedback.append(m.feedback)
@@ -104,6 +102,7 @@ class Operator:
     def call(self, kind: Any, name: str, **request: Any) -> Any:
         client = self.node.create_client(kind, name)
         self.until(client.service_is_ready)
+        self.until(SeenBy(self.node, name))
         future = client.call_async(kind.Request(**request))
         self.until(future.done)
         return future.result()
@@ -130,13 +129,17 @@ def poses(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def is_retracted(operator: Operator, poses: Path) -> bool:
-    """Position control, and the TCP well away from both contact points."""
+    """Position control, and the TCP well away from both contact points, as soon as the newest readings are in."""
     from irec_calibration.poses.store import read_poses
 
-    for _ in range(20):  # let the newest readings in
-        rclpy.spin_once(operator.node, timeout_sec=0.02)
-    away = min(np.linalg.norm(operator.p_tcp - p.p_tool_in_base) for p in read_poses(poses).poses)
-    return operator.robot is not None and operator.robot.mode == RobotState.MODE_POSITION and away > 0.1
+    touched = [p.p_tool_in_base for p in read_poses(poses).poses]
+
+    def retracted() -> bool:
+        away = min(np.linalg.norm(operator.p_tcp - p) for p in touched)
+        return operator.robot is not None and operator.robot.mode == RobotState.MODE_POSITION and away > 0.1
+
+    operator.until(retracted)
+    return retracted()
 
 
 def test_a_run_through_the_nodes_gives_a_session_that_can_be_solved(

@@ -25,6 +25,7 @@ from irec_calibration.poses.store import write_poses
 from irec_calibration.recertification.run_state import interrupted
 from irec_calibration.recertification.store import Store
 from irec_calibration.session import read_session
+from irec_ros.seen import SeenBy
 from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -37,16 +38,19 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.long]
 CELL = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
 PATIENCE = 300.0  # s of the machine's clock
-SEEN = 1.5  # s in which the server of an action finds a client that has found it; before that its answers get lost
 POSES = 9
 CALLER = """
 import sys, rclpy
 from rclpy.action import ActionClient
+from irec_ros.seen import SeenBy
 from irec_msgs.action import Recertify
 rclpy.init()
 node = rclpy.create_node("caller")
 client = ActionClient(node, Recertify, "irec/recertify")
 client.wait_for_server()
+seen = SeenBy.of_action(node, "irec/recertify")
+while not seen():
+    rclpy.spin_once(node, timeout_sec=0.05)
 goal = Recertify.Goal(operator_name="M", poses_path=sys.argv[1], full=True, dry_run=True, confirmed=["area", "disc", "tool"])
 client.send_goal_async(goal)
 rclpy.spin(node)
@@ -97,8 +101,7 @@ class Person:
         """Future of the result of a recertification."""
         self.client = self.client or ActionClient(self.node, Recertify, "irec/recertify")
         self.until(self.client.server_is_ready, "irec/recertify")
-        seen = time.monotonic() + SEEN
-        self.until(lambda: time.monotonic() > seen, "that the server has found this client")
+        self.until(SeenBy.of_action(self.node, "irec/recertify"), "the server finds this client")
         asked = Recertify.Goal(operator_name="M", dry_run=True, confirmed=["area", "disc", "tool"], **goal)
         sent = self.client.send_goal_async(asked)
         self.until(sent.done, "the goal is accepted")

@@ -20,6 +20,7 @@ from geometry_msgs.msg import PointStamped
 from irec_calibration.recording import BagReader
 from irec_calibration.session import record_message
 from irec_ros.cdr import exact_cdr
+from irec_ros.seen import SeenBy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -27,7 +28,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 pytestmark = pytest.mark.ros
-PATIENCE = 15.0  # s
+PATIENCE = 90.0  # s
 COUNT = 2000
 
 
@@ -115,6 +116,13 @@ def test_start_and_stop_by_service(node: Node, start_process: Callable[..., subp
     for name in ("start", "stop", "stop"):
         client = node.create_client(Trigger, f"/recorder/{name}")
         assert client.wait_for_service(PATIENCE)
+        seen = SeenBy(node, f"/recorder/{name}")
+
+        def found(seen: SeenBy = seen) -> bool:
+            rclpy.spin_once(node, timeout_sec=0.0)
+            return seen()
+
+        wait(found, "recorder that knows the client")
         future = client.call_async(Trigger.Request())
         rclpy.spin_until_future_complete(node, future, timeout_sec=PATIENCE)
         answers.append(future.result())
