@@ -7,7 +7,8 @@ venv=$PWD/.venv
 # a ROS that the shell has sourced must not leak into this workspace
 unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONPATH
 . "$venv/setup.bash"
-export MAKEFLAGS="${MAKEFLAGS:--j$(nproc)}" # colcon's own choice stops building where the machine is busy
+# colcon's own choice stops building where the machine is busy; what `make PYTHON=...` hands down is for make
+export MAKEFLAGS="-j$(nproc)"
 echo "irec: building the workspace with colcon (about a minute the first time)"
 colcon --log-base log build --symlink-install --event-handlers console_cohesion- \
   --base-paths irec_msgs irec_calibration irec_correction irec_sim \
