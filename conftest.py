@@ -8,6 +8,7 @@ import importlib.util
 import os
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +18,10 @@ import hypothesis
 import pytest
 
 ROOT = Path(__file__).parent
+sys.path.append(str(ROOT / "tools"))
+
+from demo_parts.domain import in_use  # noqa: E402
+
 FIRST_DOMAIN, LAST_DOMAIN = 60, 99  # below 101, where Linux hands out ephemeral ports
 STOP_SECONDS = 10.0
 hypothesis.settings.register_profile("irec", deadline=None)  # a busy machine is no failure
@@ -35,7 +40,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """A ROS_DOMAIN_ID that no other test on this machine uses now; set in the environment together with LOCALHOST."""
+    """A ROS_DOMAIN_ID that nobody on this machine uses now; set in the environment together with LOCALHOST."""
     for domain in range(FIRST_DOMAIN, LAST_DOMAIN + 1):
         try:
             lock = open(Path(tempfile.gettempdir()) / f"irec-ros-domain-{domain}.lock", "w")
@@ -44,6 +49,9 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            lock.close()
+            continue
+        if in_use(domain):
             lock.close()
             continue
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
