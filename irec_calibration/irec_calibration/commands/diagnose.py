@@ -61,6 +61,10 @@ def in_words(result: Diagnosis) -> str:
     lines.append(textwrap.fill(f"estimator: {ESTIMATOR}", WIDTH, subsequent_indent="  "))
     if shown:
         lines.append("trial: held-out error with it, in the linear problem about the model; `irec add` fits it exactly")
+    if result.proposals:
+        lines += ["", f"{'formula for what has no name':<66}{'held-out um':>12}{'+-':>7}{'log odds':>10}"]
+        for p in result.proposals:
+            lines.append(f"{p.formula:<66}{p.cv_rms_m * 1e6:>12.1f}{p.cv_rms_se_m * 1e6:>7.1f}{p.log_evidence:>10.1f}")
     seen = [v for v in result.where if v.shows]
     lines.append("")
     lines += [textwrap.fill(f"where: {v.sentence}", WIDTH, subsequent_indent="       ") for v in seen[:SHOWN]]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from ..identification.validation import ESTIMATOR
 from ..model import Model, Term
 from ..typing import Array, IntArray, Json
 from .parts import Parts, parts_json
+from .proposals import Proposal
 from .settings import SETTINGS
 
 FORMAT = "irec-diagnosis/1"
@@ -152,6 +153,7 @@ class Diagnosis:
     Attributes:
         fit_rms_m, cv_rms_m: of the model as it was asked about, in the fit and on held-out poses, by ESTIMATOR.
         cv_rms_after_m, cv_rms_se_after_m: with every effect that was added, and its standard error.
+        proposals: formulas for what has structure and no name, best first.
     """
 
     session: str
@@ -170,6 +172,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     noise: InferredNoise | None = None
     bad_rows: tuple[Json, ...] = ()
+    proposals: tuple[Proposal, ...] = ()
 
     def to_json(self) -> Json:
         """The content of `diagnosis.json`; no NaN."""
@@ -242,6 +245,7 @@ class Diagnosis:
                 }
                 for m in self.next_measurements
             ],
+            "proposals": [asdict(p) for p in self.proposals],
             "bad_rows": list(self.bad_rows),
             "notes": list(self.notes),
             "settings": SETTINGS.to_json(),

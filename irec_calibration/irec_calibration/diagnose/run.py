@@ -23,6 +23,7 @@ from .held_out import held_out, validated
 from .level import noise_left
 from .next_poses import next_measurements
 from .parts import parts_in
+from .proposals import proposals
 from .result import Candidate, Diagnosis, Measurement
 from .shown import Shown, shown_of
 from .study import Study, completed_study, study_of
@@ -94,6 +95,8 @@ def examine(
     shown = shown_of(session, first, assessment, check)
     say(0.85, "held-out error of each candidate")
     candidates = _candidates(assessment, readings, check)
+    unnamed = assessment.status == "unexplained" or assessment.remaining_m > 0.0
+    proposed = proposals(assessment.study, assessment.remainder, assessment.depends_on, check) if unnamed else ()
     say(0.9, "views of the residual")
     whiten = study.observation.whiten
     observation = replace(study.observation, whiten=whiten.scaled(assessment.noise.inferred_m / whiten.floor))
@@ -119,6 +122,7 @@ def examine(
         notes=comparison.notes,
         noise=assessment.noise,
         bad_rows=(*_left_out(session, study), *_weighed(assessment)),
+        proposals=proposed,
     )
     say(1.0, "done")
     return result, assessment, shown

@@ -42,14 +42,20 @@ def after_diagnosis(d: Diagnosis, session: str, model: str = "") -> list[Step]:
             )
             name = new
         steps.append(("Or let irec add what the evidence justifies:", f"irec improve {s} -o improved"))
+        if d.proposals:
+            steps.append(("Then try a formula for what has no name:", _formula(d, name, s)))
     elif v.status == "unexplained":
-        on = f" It depends on {', '.join(v.depends_on[:3])}: try a formula in them." if v.depends_on else ""
+        on = f" It depends on {', '.join(v.depends_on[:3])}." if v.depends_on else ""
         steps.append(
             (
                 f"Look at the residual and try effects by hand.{on}",
                 f"irec workbench {s}" + (f" {shlex.quote(model)}" if model else ""),
             )
         )
+        if d.proposals:
+            if not model:
+                steps.append(("Identify the model that was diagnosed:", _solve(d, s)))
+            steps.append(("Try the formula that describes it best; it names no cause:", _formula(d, model or "model.yaml", s)))
     elif model:
         steps.append(
             (
@@ -62,6 +68,10 @@ def after_diagnosis(d: Diagnosis, session: str, model: str = "") -> list[Step]:
     if d.next_measurements and v.status != "adequate":
         steps.append((where_to_measure(d.next_measurements[0]), ""))
     return steps
+
+
+def _formula(d: Diagnosis, model: str, session: str) -> str:
+    return f"irec add {shlex.quote(model)} {shlex.quote(d.proposals[0].formula)} {session} -o model_formula.yaml"
 
 
 def _solve(d: Diagnosis, session: str) -> str:

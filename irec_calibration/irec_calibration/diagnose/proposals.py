@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Formulas for what has no name: short laws in the variables that the remainder depends on, each tried like an effect of a user.
+
+A proposal describes, it names no cause: it says with which few coefficients the error on held-out poses falls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+
+from ..effects.formula import FormulaEffect
+from ..effects.scene import Scene
+from ..errors import SolveError
+from ..model import Term
+from .candidates import Trial, options, try_option
+from .evidence import Ground
+from .held_out import held_out
+from .remainder import Remainder
+from .settings import SETTINGS, Settings
+from .study import Study, study_of
+
+MOST = 3
+HARMONICS = (1, 2, 3)
+XYZ = "xyz"
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One formula, as `irec add` takes it.
+
+    Attributes:
+        cv_rms_m, cv_rms_se_m: held-out error with it, everything refitted, and its standard error over poses.
+        log_evidence: natural log of the odds against the model without it, the number of formulas tried taken off.
+    """
+
+    formula: str
+    cv_rms_m: float
+    cv_rms_se_m: float
+    log_evidence: float
+
+
+def proposals(
+    study: Study,
+    remainder: Remainder,
+    depends_on: Sequence[str],
+    check: Callable[[], None] = lambda: None,
+    settings: Settings = SETTINGS,
+) -> tuple[Proposal, ...]:
+    """The best formulas on top of a model, at most three; only such as help on held-out poses.
+
+    Args:
+        study: the model with everything that is named.
+        remainder: what is left beside it.
+        depends_on: session columns and `tau_k`, strongest first.
+    """
+    turned = {p.structure.axis for p in remainder.structures if p.structure.axis is not None}
+    written = list(dict.fromkeys(_formulas(study.ready, depends_on, sorted(turned))))
+    if not written:
+        return ()
+    found, _ = options(study, [FormulaEffect(f"formula_{i + 1}", text) for i, text in enumerate(written)], check)
+    ground = Ground(study.bench, study.base)
+    trials: list[Trial] = []
+    for option in found:
+        check()
+        trials.append(try_option(ground, option, study.ready))
+    trials.sort(key=lambda t: -t.log_evidence)
+    before = held_out(study).rms_m
+    out: list[Proposal] = []
+    for trial in trials:
+        odds = trial.log_evidence - log(len(written))
+        if len(out) == MOST or odds < settings.nats_to_name:
+            break
+        check()
+        try:
+            after = held_out(study_of(study.observation, (*study.terms, Term(trial.effect))))
+        except SolveError:
+            continue
+        if after.rms_m < before:
+            out.append(Proposal(written[int(trial.effect.id.removeprefix("formula_")) - 1], after.rms_m, after.rms_se_m, odds))
+    return tuple(out)
+
+
+def _formulas(scene: Scene, depends_on: Sequence[str], turned: Sequence[int]) -> Iterator[str]:
+    """Laws in some variables; turned: axes that the structures turn, from 0."""
+    named = [int(v[4:]) - 1 for v in depends_on if v.startswith("tau_")]
+    axes = list(dict.fromkeys([*named, *turned])) or [int(k) for k in np.flatnonzero(scene.driven)]
+    tau = "tau" if scene.kind == "loaded" else "tau_g"
+    for variable in depends_on:
+        kind, _, name = variable.partition("_")
+        if kind == "tau":
+            yield from _of_torque(scene, int(name) - 1, tau)
+        elif kind == "joint":
+            yield from _of_angle(scene, int(name), axes, tau)
+        elif kind == "force":
+            yield from _of_force(name)
+        elif variable == "load_case":
+            for component in XYZ:
+                yield from _of_force(component)
+        elif variable == "stamp":
+            yield from (f"base {d}: a * t + b * t**2" for d in XYZ)
+        elif kind in ("temp", "ext"):
+            yield from (f"base {d}: a * {variable} + b * {variable}**2" for d in XYZ)
+            yield from (f"axis {k + 1}: {tau} * (a * {variable} + b * {variable}**2)" for k in axes)
+
+
+def _of_torque(scene: Scene, axis: int, tau: str) -> Iterator[str]:
+    for law in (f"a * {tau}**2", f"a * {tau}**3", f"a * abs({tau})", f"a * {tau} * abs({tau}) + b * {tau}**3"):
+        yield f"axis {axis + 1}: {law}"
+    typical = float(np.sqrt(np.mean(scene.load_torque()[:, axis] ** 2)))
+    for share in (0.1, 0.3, 1.0):
+        bend = f"{max(share * typical, 1e-3):.3g}"
+        yield f"axis {axis + 1}: a * tanh({tau} / {bend})"
+        if tau == "tau":
+            yield f"axis {axis + 1}: a * (tanh((tau + tau_g) / {bend}) - tanh(tau_g / {bend}))"
+
+
+def _of_angle(scene: Scene, joint: int, axes: Sequence[int], tau: str) -> Iterator[str]:
+    for m in HARMONICS:
+        angle = f"q_{joint}" if m == 1 else f"{m} * q_{joint}"
+        wave = f"a * cos({angle}) + b * sin({angle})"
+        for k in axes:
+            yield f"axis {k + 1}: {tau} * ({wave})"
+        if scene.kind == "loaded":
+            yield from (f"tool {d}: f_{d} * ({wave})" for d in XYZ)
+        else:
+            yield from (f"axis {k + 1}: {wave}" for k in dict.fromkeys([joint - 1, *axes]))
+
+
+def _of_force(component: str) -> Iterator[str]:
+    f = f"f_{component}"
+    for d in XYZ:
+        yield f"tool {d}: a * {f}**2"
+        yield f"tool {d}: a * {f} * abs({f}) + b * {f}**3"

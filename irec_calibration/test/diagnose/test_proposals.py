@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Formulas that a diagnosis proposes for what has no name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.cli import main
+from irec_calibration.diagnose import diagnose
+from irec_calibration.diagnose.result import Diagnosis
+from irec_calibration.effects.scene import Scene
+from irec_calibration.session import write_table
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def compliance_waves_over_the_turn_of_axis_3(scene: Scene) -> Array:
+    angle = np.zeros_like(scene.tau)
+    angle[:, 2] = 5e-7 * scene.tau[:, 2] * np.cos(3.0 * scene.q[:, 2])
+    return np.einsum("nik,nk->ni", scene.kin.jacobian(scene.p_observed), angle)
+
+
+@pytest.fixture(scope="module")
+def found() -> Diagnosis:
+    return diagnose(synthetic.session(poses=24, seed=8, extra=compliance_waves_over_the_turn_of_axis_3))
+
+
+def test_a_law_that_no_effect_has_is_proposed_as_a_formula_in_its_variables(found: Diagnosis) -> None:
+    assert found.verdict.status == "unexplained"
+    best = found.proposals[0]
+    assert best.formula.startswith("axis 3: tau * (") and "3 * q_3" in best.formula
+    assert best.cv_rms_m < 0.7 * found.cv_rms_m
+
+
+def test_proposals_are_few_and_the_best_comes_first(found: Diagnosis) -> None:
+    odds = [p.log_evidence for p in found.proposals]
+    assert 1 <= len(odds) <= 3 and odds == sorted(odds, reverse=True)
+    assert found.to_json()["proposals"][0]["formula"] == found.proposals[0].formula
+
+
+def test_nothing_is_proposed_where_nothing_is_missing() -> None:
+    assert diagnose(synthetic.session(poses=24, seed=9)).proposals == ()
+
+
+def test_the_proposed_formula_can_be_added_as_it_stands(
+    found: Diagnosis, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = synthetic.session(poses=24, seed=8, extra=compliance_waves_over_the_turn_of_axis_3)
+    write_table(session, tmp_path / "s")
+    assert main(["solve", str(tmp_path / "s"), "-o", str(tmp_path / "m.yaml")]) == 0
+    capsys.readouterr()
+    words = ["add", str(tmp_path / "m.yaml"), found.proposals[0].formula, str(tmp_path / "s"), "-o", str(tmp_path / "m2.yaml")]
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)
