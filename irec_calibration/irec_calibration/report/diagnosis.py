@@ -58,6 +58,7 @@ def write_diagnosis_report(
         todo=after_diagnosis(diagnosis, named[0] or str(session.path or "SESSION"), named[1]),
         sections=[
             *_which(diagnosis, session, folder),
+            *_formulas(diagnosis),
             *_where(diagnosis, session, folder),
             compare_section(diagnosis.comparison, session, folder),
             *_next(diagnosis, session),
@@ -80,9 +81,19 @@ def _hero(d: Diagnosis, session: Session, folder: Path) -> Figure:
         title = f"{cause} {'take' if len(v.effects) > 1 else 'takes'} the error from {length(rows[0][1])} to {length(rows[1][1])}"
     elif v.status == "unexplained":
         title = f"The model leaves {length(rows[0][1])}, the noise explains {length(floor)}"
+        rows += [("with the best formula", p.cv_rms_m, p.cv_rms_se_m) for p in d.proposals[:1]]
     else:
         title = "What the model leaves is what the noise explains" if v.status == "adequate" else "Error and noise"
     return Figure(models.gap(rows, floor, folder / "verdict.png", title), f"{title}. Estimator: {ESTIMATOR}.")
+
+
+def _formulas(d: Diagnosis) -> list[Section]:
+    """Formulas for what has structure and no name."""
+    if not d.proposals:
+        return []
+    text = "Short laws in the variables that the rest depends on, each refitted with the whole model. They name no cause."
+    rows = [[p.formula, f"{length(p.cv_rms_m)} +- {length(p.cv_rms_se_m)}", f"{p.log_evidence:.0f}"] for p in d.proposals]
+    return [Section("Formulas for what has no name", [text], [], [Table(["formula", "held out", "log odds"], rows)])]
 
 
 def compare_section(comparison: Comparison, session: Session, folder: Path) -> Section:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from irec_calibration.cli import main
 from irec_calibration.diagnose import diagnose
 from irec_calibration.diagnose.result import Diagnosis
 from irec_calibration.effects.scene import Scene
+from irec_calibration.report.next_steps import after_diagnosis
 from irec_calibration.session import write_table
 from numpy.typing import NDArray
 
@@ -57,3 +59,8 @@ def test_the_proposed_formula_can_be_added_as_it_stands(
     words = ["add", str(tmp_path / "m.yaml"), found.proposals[0].formula, str(tmp_path / "s"), "-o", str(tmp_path / "m2.yaml")]
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)
+
+
+def test_the_command_that_adds_the_best_formula_is_among_the_next_steps(found: Diagnosis) -> None:
+    commands = [shlex.split(command) for _, command in after_diagnosis(found, "SESSION", "m.yaml") if command]
+    assert ["irec", "add", "m.yaml", found.proposals[0].formula, "SESSION", "-o", "model_formula.yaml"] in commands
