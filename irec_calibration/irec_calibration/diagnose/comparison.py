@@ -16,10 +16,7 @@ from ..model import Term, total_displacement
 from ..session.data import Session
 from ..typing import Array
 from .result import Comparison
-
-DISAGREEMENT = 1e-3  # probability below which repeats are said to disagree with the data sheet
-FEWEST_REPEATS = 6
-QUIETER = 0.5  # of the stated variance: below it the residual is said to be smaller than the data sheet allows
+from .settings import SETTINGS
 
 
 def compare(session: Session, terms: Sequence[Term]) -> Comparison:
@@ -61,12 +58,12 @@ def compare_observed(observation: Observation, terms: Sequence[Term], fitted: in
     chi2 = float((observation.whiten(residual) ** 2).sum())
     repeat_floor, repeat_dof, ratio = repeat_noise(observation, residual)
     notes = list(session.notes)
-    if repeat_dof >= FEWEST_REPEATS:
+    if repeat_dof >= SETTINGS.fewest_repeats:
         p = 2.0 * min(fdtrc(repeat_dof, 1e6, ratio), fdtr(repeat_dof, 1e6, ratio))
-        if p < DISAGREEMENT:
+        if p < SETTINGS.stated_p:
             notes.append(_about_repeats(repeat_floor, observation, more=ratio > 1))
     variance_ratio = chi2 / max(residual.size - fitted, 1)
-    if variance_ratio < QUIETER and observation.whiten.level == 1.0:
+    if variance_ratio < SETTINGS.quieter_than_stated and observation.whiten.level == 1.0:
         notes.append(
             f"the residual, {length(left)}, is well below the noise that session.yaml states, {length(floor)}: "
             "the instruments "

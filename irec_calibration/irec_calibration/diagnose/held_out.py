@@ -10,15 +10,13 @@ import numpy as np
 
 from ..identification.identify import fit, observe_with_force_noise
 from ..identification.provenance import model_of
-from ..identification.validation import HeldOut, held_out_error
+from ..identification.validation import FEWEST_POSES, HeldOut, held_out_error
 from ..model import Model, Term
 from ..session.data import Session
 from .apart import set_apart
 from .evidence import Block
 from .remainder import Remainder
 from .study import Study, prepare
-
-FEWEST = 3  # poses that a comparison needs
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ def only_good_poses(found: HeldOut, study: Study, remainder: Remainder) -> HeldO
     """The same for a comparison (`gain`), without poses in which a row stands out: no other pose can predict a bad reading."""
     rows = [r for p in remainder.bad_rows for r in p.structure.rows]
     keep = ~np.isin(found.poses, study.session.pose[rows])
-    return replace(found, poses=found.poses[keep], loss=found.loss[keep]) if keep.sum() >= FEWEST else found
+    return replace(found, poses=found.poses[keep], loss=found.loss[keep]) if keep.sum() >= FEWEST_POSES else found
 
 
 def validated(session: Session, terms: Sequence[Term]) -> Validated:

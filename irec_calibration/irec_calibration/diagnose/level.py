@@ -21,9 +21,6 @@ from .settings import SETTINGS, Settings
 from .study import Study, study_of
 from .wander import likelier, wandering
 
-QUIETER = 0.7  # of the noise assumed: below it everything is weighed again
-FEWEST_REPEATS = 6  # degrees of freedom of repeats below which they say nothing by themselves
-
 
 @dataclass(frozen=True)
 class Repeats:
@@ -75,7 +72,7 @@ def noise_left(study: Study, remainder: Remainder, family: Family, settings: Set
         dof = max(residual.size - Ground(study.bench, beside.block).fitted, 1.0)
         return replace(again, whiten=again_whiten.scaled(float(np.sqrt(squared / dof))))
     lower = level_beside(study, remainder, settings)
-    return replace(observation, whiten=whiten.scaled(lower)) if lower < QUIETER else None
+    return replace(observation, whiten=whiten.scaled(lower)) if lower < settings.weigh_again_below else None
 
 
 def left_beside(study: Study, remainder: Remainder) -> Array:
@@ -107,7 +104,7 @@ def repeats_of(study: Study, ground: Ground) -> Repeats:
     of_row = np.stack([session.pose[rows], session.load_case[rows], session.marker[rows]])
     keys = np.unique(of_row, axis=1, return_inverse=True)[1]
     chi2, dof = pure_error(white, keys.ravel())
-    if study.ready.kind == "absolute" and dof < FEWEST_REPEATS:
+    if study.ready.kind == "absolute" and dof < SETTINGS.fewest_repeats:
         pairs = near_pairs(study.observation, study.observation.whiten.undo(white))
         if len(pairs.first) >= FEWEST_PAIRS:
             scatter = ((white[pairs.first] - white[pairs.second]) ** 2).sum() / 2.0
@@ -118,7 +115,7 @@ def repeats_of(study: Study, ground: Ground) -> Repeats:
     left = max(len(study.bench.b) - ground.fitted - dof, 0.0)
     beside = max(ground.chi2 - chi2, 0.0)
     p = 1.0
-    if dof >= FEWEST_REPEATS and left > 1.0:
+    if dof >= SETTINGS.fewest_repeats and left > 1.0:
         p = float(fdtrc(left, dof, beside / left / max(chi2 / dof, 1e-300)))
     return Repeats(chi2, dof, beside, left, p)
 
@@ -133,9 +130,9 @@ def inferred(study: Study, ground: Ground, repeats: Repeats, settings: Settings 
 def _inferred(study: Study, ground: Ground, repeats: Repeats, settings: Settings) -> InferredNoise:
     whiten = study.observation.whiten
     to_claim = whiten.level**2
-    enough = repeats.dof >= FEWEST_REPEATS
+    enough = repeats.dof >= settings.fewest_repeats
     if enough and repeats.p_value < settings.repeats_p:
         return level_of(whiten.claimed_floor, repeats.chi2 * to_claim, repeats.dof, "repeats", settings.noise_dof)
     dof = len(study.bench.b) - ground.fitted
-    source = "claim" if dof < FEWEST_REPEATS else "repeats and residual" if enough else "residual"
+    source = "claim" if dof < settings.fewest_repeats else "repeats and residual" if enough else "residual"
     return level_of(whiten.claimed_floor, ground.chi2 * to_claim, dof, source, settings.noise_dof)

@@ -25,11 +25,9 @@ from .evidence import Block, Ground, Posterior
 from .family import Family
 from .priors import FACTORS
 from .remainder import grow
+from .settings import SETTINGS
 from .study import Study, study_of
 
-NATS_TO_PROVE = 6.5  # log evidence that a part needs of its own: odds of 600, as the name of an effect does
-NATS_WITHIN_REACH = 5.0  # sets of parts that explain the session this much worse than the best are not told from it
-SHARE_TO_PROVE = 0.02  # of what the effect explains: a smaller part may make up for an effect's form that is not quite right
 REFINED = np.geomspace(1 / 1.6, 1.6, 5)  # around a fitted shape value, in which fits with other parts look for theirs
 ROUNDS = 3  # of moving to a better set of parts
 
@@ -127,7 +125,7 @@ class _Sets:
             least = min(names, key=lambda n: self.cost(names, n))
             less = tuple(n for n in names if n != least)
             top = max(top, self.score(names))
-            if self.cost(names, least) >= NATS_TO_PROVE or top - self.score(less) >= NATS_TO_PROVE:
+            if self.cost(names, least) >= SETTINGS.nats_to_prove_part or top - self.score(less) >= SETTINGS.nats_to_prove_part:
                 break
             names = less
         return names
@@ -162,7 +160,7 @@ class _Sets:
                 break
             names = self.cut_down(top)
             others = self.others(names)
-        near = [n for n in others if self.score(n) > self.score(names) - NATS_WITHIN_REACH]
+        near = [n for n in others if self.score(n) > self.score(names) - SETTINGS.nats_within_reach]
         return names, sorted(near, key=lambda n: -self.score(n))
 
     def parts(self, names: Names, near: Sequence[Names]) -> Parts:
@@ -174,7 +172,8 @@ class _Sets:
             without = [less, *(s for s in self.others(names) if n not in s)]
             own[n] = min(self.cost(names, n), self.score(names) - max(self.score(s) for s in without))
             share = (self.fit(less)[1].chi2 - self.fit(names)[1].chi2) / everything
-            if all(n in s for s in near) and self.cost(names, n) >= NATS_TO_PROVE and share >= SHARE_TO_PROVE:
+            is_proven = self.cost(names, n) >= SETTINGS.nats_to_prove_part and share >= SETTINGS.share_to_prove_part
+            if is_proven and all(n in s for s in near):
                 proven.append(n)
         one_of = _alternatives([names, *near], proven)
         spoken = {*proven, *(n for s in one_of for n in s)}
@@ -285,7 +284,7 @@ def _beyond_structures(parts: Parts, sets: _Sets, names: Names, beside: Block | 
         instead = grow(sets.rest.bench, family, base, most=2, beside_axis=axes.get(n)).gained
         if less and sets.effect.family is Alike.TORQUE_LAW:
             instead = max(instead, _by_another_law(sets, base, axes.get(n)))
-        if sets.cost(names, n) - instead < NATS_TO_PROVE:
+        if sets.cost(names, n) - instead < SETTINGS.nats_to_prove_part:
             doubtful.append(n)
     if not doubtful:
         return parts

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
+from ..identification.validation import FEWEST_POSES
 from ..typing import Json
 
 
@@ -81,8 +82,46 @@ class Settings:
         "heavy tails allowed for",
     )  # fmt: skip
     fewest_poses: int = field(
-        default=3,
+        default=FEWEST_POSES,
         metadata={"unit": "poses", "meaning": "with fewer nothing is named", "derived": "nothing can be tested on other poses"},
+    )
+
+    nats_to_prove_part: float = _setting(
+        6.5, "nats", "evidence of its own that an axis or direction needs to be named", "odds of 600, as the name of an effect",
+    )  # fmt: skip
+    nats_within_reach: float = _setting(
+        5.0, "nats", "sets of parts that explain the session this much worse than the best are not told from it", "odds of 150",
+    )  # fmt: skip
+    share_to_prove_part: float = _setting(
+        0.02, "share of squares", "of what the effect explains that a part must bring to be named",
+        "a smaller part may make up for an effect's form that is not quite right",
+    )  # fmt: skip
+    weigh_again_below: float = _setting(
+        0.7, "of the noise assumed", "noise that is left below which everything is weighed again",
+        "evidence goes with the square: twice as much at 0.7",
+    )  # fmt: skip
+    fewest_repeats: int = field(
+        default=6,
+        metadata={"unit": "degrees of freedom", "meaning": "with fewer, repeats say nothing by themselves",
+                  "derived": "a level from 6 is known within 30 %"},
+    )  # fmt: skip
+    stated_p: float = _setting(
+        1e-3, "probability", "below which repeats are said to disagree with the noise that is stated",
+        "one false remark in 1000 sessions",
+    )  # fmt: skip
+    quieter_than_stated: float = _setting(
+        0.5, "of the stated variance", "below which the residual is said to be smaller than the stated noise allows",
+        "a standard deviation 30 % smaller",
+    )  # fmt: skip
+    where_p: float = _setting(
+        0.05, "probability", "corrected for all places, below which a place where the residual is, is told", "one in 20 sessions",
+    )  # fmt: skip
+    where_share: float = _setting(
+        0.01, "share of squares", "of the residual that such a place must hold", "less helps nobody to find a cause",
+    )  # fmt: skip
+    where_poses: int = field(
+        default=5,
+        metadata={"unit": "poses", "meaning": "with fewer no place is told", "derived": "5 poses have 32 sets of signs"},
     )
 
     def to_json(self) -> Json:

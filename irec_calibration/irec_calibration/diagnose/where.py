@@ -17,12 +17,10 @@ from ..identification.validation import rms
 from ..lengths import length
 from ..typing import Array
 from .result import View
+from .settings import SETTINGS
 
 DRAWS = 4000
-FEWEST_POSES = 5
 BINS = 4
-SIGNIFICANT = 0.05
-SMALLEST_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ def views(observation: Observation, residual: Array, predicted: Array) -> tuple[
         np.add.at(per_pose, index, per_row)
         found = float((per_pose.sum(axis=0) ** 2).sum())
         by_chance = ((flips @ per_pose) ** 2).sum(axis=1)
-        p = (1.0 + float((by_chance >= found * (1 - 1e-12)).sum())) / (DRAWS + 1.0) if len(poses) >= FEWEST_POSES else 1.0
+        p = (1.0 + float((by_chance >= found * (1 - 1e-12)).sum())) / (DRAWS + 1.0) if len(poses) >= SETTINGS.where_poses else 1.0
         corrected = min(1.0, p * len(sides))
         share = found / total if total > 0.0 else 0.0
         # what as many columns would catch of plain noise
@@ -75,7 +73,7 @@ def _view(side: _Side, residual: Array, share: float, p: float) -> View:
     left = {str(x): rms(residual[labels == x]) for x in dict.fromkeys(side.labels)}
     worst = max(left, key=lambda k: left[k])
     where = f", most at {worst} ({length(left[worst])})" if len(left) > 1 else ""
-    shows = p <= SIGNIFICANT and share >= SMALLEST_SHARE
+    shows = p <= SETTINGS.where_p and share >= SETTINGS.where_share
     if not shows:
         sentence = f"No sign that the residual {side.words}."
     else:
@@ -90,7 +88,7 @@ def _worst_pose(observation: Observation, residual: Array) -> View:
     share = sums[worst] / max(sum(sums.values()), 1e-300)
     left = rms(residual[observation.pose == worst])
     typical = float(np.sqrt(np.median([s / (observation.pose == p).sum() for p, s in sums.items()])))
-    stands_out = len(sums) >= FEWEST_POSES and left > 3.0 * max(typical, observation.whiten.floor)
+    stands_out = len(sums) >= SETTINGS.where_poses and left > 3.0 * max(typical, observation.whiten.floor)
     sentence = (
         f"Pose {worst} has {100 * share:.0f} % of the squared residual "
         f"({length(left)}, the typical pose {length(typical)})."

@@ -18,6 +18,7 @@ from ..typing import Array, IntArray
 from .bounded import solve_bounded_gram
 from .observe import Observation
 
+FEWEST_POSES = 3  # that two models can be compared on
 ESTIMATOR = (
     "bounded weighted least squares with weak priors, at the noise that the session shows; held out: each pose predicted from all"
     " others"
@@ -103,7 +104,7 @@ def gain(before: HeldOut, after: HeldOut) -> tuple[float, float, float]:
     _, one, other = np.intersect1d(before.poses, after.poses, return_indices=True)
     saved = before.loss[one] - after.loss[other]
     n = len(saved)
-    if n < 3 or not np.isfinite(saved).all():
+    if n < FEWEST_POSES or not np.isfinite(saved).all():
         return float("nan"), float("nan"), 1.0
     mean, se = float(saved.mean()), float(saved.std(ddof=1) / np.sqrt(n))
     return mean, se, float(stdtr(n - 1, -mean / max(se, 1e-12)))
