@@ -21,6 +21,7 @@ pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from quick_cell import quick_cell
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from test_loop_ros import ABORTED, CELL, Operator, node
@@ -30,7 +31,7 @@ from irec_msgs.msg import RobotState
 if TYPE_CHECKING:
     Start = Callable[..., subprocess.Popen[bytes]]
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(900)]
 SPEED = 6.0
 FIND = 2.0  # s
 
@@ -49,8 +50,9 @@ class Cell:
 
 @pytest.fixture
 def cell(ros_domain: int, start_process: Start, tmp_path: Path) -> Iterator[Cell]:
-    start_process(node("irec_sim.nodes.cell_node", cell=CELL, speed_factor=SPEED), name="cell")
-    arguments = {"cell": CELL, "session_folder": tmp_path, "use_sim_time": "true"}
+    quick = quick_cell(tmp_path)
+    start_process(node("irec_sim.nodes.cell_node", cell=quick, speed_factor=SPEED), name="cell")
+    arguments = {"cell": quick, "session_folder": tmp_path, "use_sim_time": "true"}
     procedure = start_process(node("irec_calibration.nodes.procedure_node", **arguments), name="procedure")
     rclpy.init()
     made = Operator()
