@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from irec_ros.guard import Guarded
+from irec_ros.guard import Guarded, GuardedNode
 from irec_ros.parameters import P, Parameters
 from irec_ros.startup import refuse_unknown_parameters
 from rclpy.exceptions import ParameterException
@@ -41,13 +41,13 @@ class Fragile(Guarded, Node):
     def __init__(self) -> None:
         super().__init__("fragile", namespace="/cell_a")
         self.heard: list[str] = []
-        self.reactions: list[str] = []
+        self.reactions: dict[str, bool] = {}
         self.create_subscription(String, "word", self._on_word, 10)
         self.create_service(Trigger, "ask", self._on_ask)
         self.create_timer(0.01, self._on_time)
 
-    def on_error(self, where: str, error: Exception) -> None:
-        self.reactions.append(where)
+    def on_error(self, where: str, error: Exception, answered: bool) -> None:
+        self.reactions[where] = answered
 
     def _on_word(self, message: String) -> None:
         self.heard.append(message.data)
@@ -94,11 +94,11 @@ def test_an_error_in_a_callback_answers_the_caller_is_told_in_diagnostics_and_th
     until([node, other], lambda: answer.done() and "good" in node.heard and "cell_a/fragile: topic word" in told)
     assert not answer.result().success and "KeyError: 'mass'" in answer.result().message
     assert "ValueError: three positions, six joints" in told["cell_a/fragile: topic word"]
-    assert {"topic word", "service ask", "timer on_time"} <= set(node.reactions)
+    assert node.reactions == {"topic word": False, "service ask": True, "timer on_time": False}
 
 
-def make(**given: Any) -> tuple[Node, Parameters]:
-    node = Node("node", parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
+def make(**given: Any) -> tuple[GuardedNode, Parameters]:
+    node = GuardedNode("node", parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
     parameters = Parameters(node, TABLE)
     refuse_unknown_parameters(node)
     return node, parameters

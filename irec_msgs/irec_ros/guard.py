@@ -19,6 +19,7 @@ Callback: TypeAlias = Callable[..., Any]
 OVERRIDABLE = QoSOverridingOptions(
     [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY]
 )
+PARAMETERS_OF_RCLPY = frozenset(("use_sim_time", "start_type_description_service"))  # declared in every node
 OF_RCLPY = ("/clock", "/parameter_events", "/rosout", "~/transition_event")  # entities that it makes itself
 
 
@@ -29,16 +30,23 @@ class Guarded:
     """
 
     errors: dict[str, str]  # what went wrong in which callback, the newest of each
+    given_parameters: frozenset[str]  # on the command line, in a parameter file or by who made the node
     _diagnostics: Diagnostics | None = None
     _is_made = False  # rclpy has made what every node has
 
     def __init__(self, *args: Any, **named: Any) -> None:
         self.errors = {}
+        named["automatically_declare_parameters_from_overrides"] = True
         super().__init__(*args, **named)
         self._is_made = True
+        self.given_parameters = self._taken_back()
 
-    def on_error(self, where: str, error: Exception) -> None:
-        """Called after an unexpected error in a callback: leave the contact, fade the offset, ... Nothing by default."""
+    def on_error(self, where: str, error: Exception, answered: bool) -> None:
+        """Called after an unexpected error in a callback: leave the contact, fade the offset, ... Nothing by default.
+
+        Args:
+            where: for people, e.g. `topic joint_states`. answered: whoever asked for it is told (a service, a goal).
+        """
 
     def guarded(self, where: str, callback: Callback, otherwise: Callback | None = None) -> Callback:
         """The callback, which raises nothing any more.
@@ -53,12 +61,12 @@ class Guarded:
             try:
                 return callback(*arguments, **named)
             except Exception as error:
-                self._report_error(where, error)
+                self._report_error(where, error, otherwise is not None)
                 return otherwise(error, *arguments) if otherwise is not None else None
 
         return call
 
-    def _report_error(self, where: str, error: Exception) -> None:
+    def _report_error(self, where: str, error: Exception, answered: bool) -> None:
         node: Any = self
         if not node.context.ok():  # the process is ending and has nobody to tell
             return
@@ -69,13 +77,21 @@ class Guarded:
             trace = "".join(traceback.format_exception(error))
             node.get_logger().error(f"unexpected error in {where}: {text}; the node goes on\n{trace}")
         try:
-            self.on_error(where, error)
+            self.on_error(where, error, answered)
             if known != text:
                 if self._diagnostics is None:
                     self._diagnostics = Diagnostics(node)
                 self._diagnostics.publish(status(node, where, ERROR, f"unexpected error: {text}"))
         except Exception as second:  # what protects must not be what ends the node
             node.get_logger().error(f"unexpected error while reacting to {where}: {type(second).__name__}: {second}")
+
+    def _taken_back(self) -> frozenset[str]:
+        """Names of the parameters that were given; declaring them stays with the node itself."""
+        node: Any = self
+        given = frozenset(node.get_parameters_by_prefix("")) - PARAMETERS_OF_RCLPY
+        for name in given:
+            node.undeclare_parameter(name)
+        return given
 
     # rclpy's own signatures, passed on as they are
 

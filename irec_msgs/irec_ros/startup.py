@@ -17,6 +17,8 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from .guard import Guarded
+
 
 def begin(name: str, **options: Any) -> bool:
     """`rclpy.init(**options)`; False, with the reason on stderr, where the ROS arguments are wrong.
@@ -88,7 +90,7 @@ def run_node(name: str, make: Callable[[], Node], *refusals: type[Exception]) ->
     return run_process(name, lambda asked: spin_node(make(), asked), *refusals)
 
 
-def refuse_unknown_parameters(*nodes: Node) -> None:
+def refuse_unknown_parameters(*guarded: Guarded) -> None:
     """Call when all nodes of the process have declared theirs: what is given on the command line goes for each of them.
 
     ROS ignores a parameter with a misspelt name, and with it a limit that somebody set.
@@ -96,7 +98,8 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
     Raises:
         ParameterException: a parameter was given that none of them has; says which, and which one is like it.
     """
-    given = {name for node in nodes for name in node._parameter_overrides}  # there is no public list of what was given
+    nodes: tuple[Any, ...] = guarded
+    given = {name for node in nodes for name in node.given_parameters}
     unknown = sorted(n for n in given if not any(node.has_parameter(n) for node in nodes) and not n.startswith("qos_overrides."))
     if not unknown:
         return

@@ -238,7 +238,7 @@ class ProcedureNode(Guarded, LifecycleNode):
         if procedure.finished:
             self._finish(run.result())
 
-    def on_error(self, where: str, error: Exception) -> None:
+    def on_error(self, where: str, error: Exception, answered: bool) -> None:
         """Leave the contact first, by the procedure; without it where it is the procedure that fails."""
         run = self._run
         if run is None:

@@ -129,7 +129,7 @@ class Ros2ControlDriver(GuardedNode):
         """Clock of leases and moves, s: the machine's steady one, the cell's where time is simulated."""
         return float(self.get_clock().now().nanoseconds * 1e-9) if self._simulated else time.monotonic()
 
-    def on_error(self, where: str, error: Exception) -> None:
+    def on_error(self, where: str, error: Exception, answered: bool) -> None:
         """Nothing more is sent: the trajectory controller holds."""
         self._robot.fault(f"unexpected error in {where}: {type(error).__name__}: {error}")
 

@@ -9,31 +9,26 @@ from __future__ import annotations
 import contextlib
 import math
 import socket
-import sys
 import threading
 import time
 from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import WrenchStamped
-from irec_calibration.errors import IrecError
 from irec_ros.diagnostics import ERROR, OK, WARN, Diagnostics, status
-from irec_ros.guard import Guarded
 from irec_ros.parameters import Parameters
-from irec_ros.startup import begin, refuse_unknown_parameters, spin_until, stop_on_signals
+from irec_ros.startup import refuse_unknown_parameters
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from ..can_ft.netft_can import Calibration, errors_of
 from ..can_ft.process import COUNTS, RECORD, SensorSetup
 from ..can_ft.reader import Bus, ReaderSettings
 from ..errors import SettingsError
+from .managed import Managed, run_managed
 from .messages import fill_vector, ros_time
 from .parameters import CAN_FT
 
@@ -42,7 +37,7 @@ ANSWER_WAIT = 1.0  # s
 SILENT = 0.5  # s without a reading
 
 
-class CanFtNode(Guarded, LifecycleNode):
+class CanFtNode(Managed):
     """Publishes wrench_raw; the service ~/bias takes the present reading as zero (only without contact)."""
 
     def __init__(self, pipe: Connection) -> None:
@@ -52,58 +47,35 @@ class CanFtNode(Guarded, LifecycleNode):
         self._status = self._diagnostics = Diagnostics(self)
         self._pipe = pipe
         self._frame, self._short = str(self._p["frame_id"]), bool(self._p["short_answers"])
-        self._configured = self._active = False
-        self._refused = ""  # why the last transition failed
+        self._reading = False  # the sensor
         self._message = WrenchStamped()
         self._message.header.frame_id = self._frame
         self._last: tuple[Any, ...] | None = None
         self._came_in = 0.0
+        self.listener: threading.Thread | None = None  # receives from the sensor's process
         self._foreign = 0  # requests of another device up to the last second
         self._out = self.create_publisher(WrenchStamped, "wrench_raw", OUT_QOS)
         self.create_service(Trigger, "~/bias", self._on_bias)
         self.create_timer(1.0, self._on_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self._p["autostart"]:
-            for step in (self.trigger_configure, self.trigger_activate):
-                if step() is not TransitionCallbackReturn.SUCCESS:
-                    raise SettingsError(self._refused)
+            self.go_through(self.trigger_configure, self.trigger_activate)
 
     # -- lifecycle -----------------------------------------------------------------------------------------------------
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            self._start_sensor()
-        except IrecError as error:
-            self._refused = str(error)
-            self.get_logger().error(f"not configured: {error}")
-            return TransitionCallbackReturn.FAILURE
-        self._configured = True
-        return TransitionCallbackReturn.SUCCESS
+    def start(self) -> None:
+        """Pass readings on. Raises SettingsError."""
+        if why := self._ask("pass on"):
+            raise SettingsError(why)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._refused = self._ask("pass on")
-        if self._refused:
-            self.get_logger().error(f"not activated: {self._refused}")
-            return TransitionCallbackReturn.FAILURE
-        self._active = True
-        return super().on_activate(state)
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def stop(self) -> None:
+        """Pass no more readings on; the sensor is read all the same."""
         self._ask("pause")
-        self._active = False
-        return super().on_deactivate(state)
 
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._release()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._release()
-        return TransitionCallbackReturn.SUCCESS
-
-    def _release(self) -> None:
-        if self._configured:
+    def release(self) -> None:
+        """Free bus and block."""
+        if self._reading:
             self._ask("release")
-        self._configured = self._active = False
+        self._reading = False
         self._last = None
 
     def _ask(self, command: str) -> str:
@@ -113,7 +85,8 @@ class CanFtNode(Guarded, LifecycleNode):
             return f"the sensor's process did not answer in {ANSWER_WAIT} s"
         return str(self._pipe.recv())
 
-    def _start_sensor(self) -> None:
+    def configure(self) -> None:
+        """Open bus and block. Raises SettingsError."""
         p = self._p
         scale = tuple(float(x) for x in p["short_scale"])
         if len(scale) != 6:
@@ -134,6 +107,7 @@ class CanFtNode(Guarded, LifecycleNode):
         for text in content:
             self.get_logger().warning(text)
         self.get_logger().info(f"reading {bus.interface}:{bus.channel}, base identifier {reader.base:#x}, {reader.rate:g} Hz")
+        self._reading = True
 
     def take(self, record: bytes) -> None:
         """Publish one record; called in the thread that receives from the sensor's process."""
@@ -148,12 +122,17 @@ class CanFtNode(Guarded, LifecycleNode):
         self._out.publish(self._message)
 
     def _on_bias(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.message = self._ask("bias") if self._configured else "not configured: the sensor is not read"
+        response.message = self._ask("bias") if self._reading else "not configured: the sensor is not read"
         response.success = not response.message
         response.message = (
             response.message or "the present reading is zero from now on; identify the tool load again where it is removed"
         )
         return response
+
+    def ended(self) -> None:
+        """Wait for the thread that receives."""
+        if self.listener is not None:
+            self.listener.join(1.0)
 
     def _on_second(self) -> None:
         level, text, values = OK, "reading", {}
@@ -165,7 +144,7 @@ class CanFtNode(Guarded, LifecycleNode):
             level, text = self._judge_counts(counts)
             if errors:
                 level, text = ERROR, "sensor reports " + ", ".join(errors)
-        if not self._active:
+        if not self.active:
             level, text = WARN, "not active: readings are not passed on"
         elif time.monotonic() - self._came_in > SILENT:
             level, text = ERROR, "no reading from the sensor"
@@ -188,39 +167,29 @@ class CanFtNode(Guarded, LifecycleNode):
 
 def main(pipe: Connection, records: socket.socket, arguments: list[str]) -> int:
     """Run the node; exit code."""
-    if not begin("can_ft_node", args=arguments, signal_handler_options=SignalHandlerOptions.NO):
-        return 2
-    asked_to_stop = stop_on_signals()
-    try:
-        node = CanFtNode(pipe)
-    except Exception as error:  # IrecError, and whatever rclpy raises for parameters
-        print(f"can_ft_node: error: {error}", file=sys.stderr)
-        with contextlib.suppress(OSError):  # the sensor's process has ended already where it was the one that refused
-            pipe.send(None)
-        rclpy.try_shutdown()
-        return 2
     records.settimeout(0.2)
 
-    take = node.guarded("record of the sensor", node.take)
+    def make(asked_to_stop: threading.Event) -> CanFtNode:
+        node = CanFtNode(pipe)
+        take = node.guarded("record of the sensor", node.take)
 
-    def receive() -> None:
-        while not asked_to_stop.is_set():
-            try:
-                data = records.recv(RECORD.size)
-                if not asked_to_stop.is_set():
-                    take(data)
-            except TimeoutError:
-                continue
-            except (OSError, RuntimeError):
-                return
+        def receive() -> None:
+            while not asked_to_stop.is_set():
+                try:
+                    data = records.recv(RECORD.size)
+                    if not asked_to_stop.is_set():
+                        take(data)
+                except TimeoutError:
+                    continue
+                except (OSError, RuntimeError):
+                    return
 
-    listener = threading.Thread(target=receive, daemon=True)
-    listener.start()
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        spin_until(asked_to_stop, node.guarded("executor", executor.spin_once))
-    finally:
-        listener.join(1.0)
-        rclpy.try_shutdown()
-    return 0
+        node.listener = threading.Thread(target=receive, daemon=True)
+        node.listener.start()
+        return node
+
+    def if_refused() -> None:
+        with contextlib.suppress(OSError):  # the sensor's process has ended already where it was the one that refused
+            pipe.send(None)
+
+    return run_managed("can_ft_node", make, arguments, executor_type=SingleThreadedExecutor, if_refused=if_refused)

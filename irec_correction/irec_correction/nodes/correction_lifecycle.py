@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import sys
-from typing import Any
+import threading
 
-import rclpy
 from geometry_msgs.msg import WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
@@ -14,14 +12,11 @@ from irec_calibration.procedure.axes import Axes, read_axes
 from irec_calibration.robot import Payload, Robot
 from irec_calibration.sensors.tool_load import ToolLoad
 from irec_ros.diagnostics import Diagnostics
-from irec_ros.guard import Guarded
 from irec_ros.parameters import Parameters
-from irec_ros.startup import begin, refuse_unknown_parameters, spin_until, stop_on_signals
+from irec_ros.startup import refuse_unknown_parameters
 from rclpy.clock import Clock, ClockType
-from rclpy.experimental import EventsExecutor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -39,6 +34,7 @@ from . import parameters
 from .chain_clock import ChainClock
 from .correction_inputs import CorrectionInputs
 from .correction_outputs import CorrectionOutputs
+from .managed import Managed, run_managed
 from .model_checks import CheckedModel, Mounted, read_checked
 from .tool_load_service import create_services
 
@@ -49,7 +45,7 @@ EARLY = 0.75  # of a period: a wrench that comes sooner after the last tick make
 MISSING = 1.5  # periods without a tick: the timer makes one
 
 
-class CorrectionNode(Guarded, LifecycleNode):
+class CorrectionNode(Managed):
     """Parameters: see parameters.py. Activation fails with a reason; a model is put in force by
     `irec/correction/activate_model`."""
 
@@ -63,9 +59,7 @@ class CorrectionNode(Guarded, LifecycleNode):
         self._correction: Correction | None = None
         self._robot: Robot | None = None
         self._described: str | None = None
-        self._active = False
         self._in_force: CheckedModel | None = None
-        self._entities: list[tuple[Any, Any]] = []
         self.create_subscription(String, "robot_description", self._on_description, LATCHED_QOS)
         if self._p["autostart"] and self._p["cell"]:
             self._configure_and_activate()
@@ -83,55 +77,30 @@ class CorrectionNode(Guarded, LifecycleNode):
         ]
         if self._orientations is not None:
             made += create_services(self, self._orientations, self._take_load)
-        self._entities += made
+        self.entities += made
 
     # -- lifecycle -----------------------------------------------------------------------------------------------------
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            self._configure()
-        except IrecError as error:
-            self.get_logger().error(f"not configured: {error}")
-            self._cleanup()
-            return TransitionCallbackReturn.FAILURE
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        correction = self._chain()
-        try:
-            correction.start(self._chain_clock.now())
-        except IrecError as error:
-            self.get_logger().error(f"not activated: {error}")
-            return TransitionCallbackReturn.FAILURE
+    def start(self) -> None:
+        """Follow the model. Raises IrecError."""
+        self._chain().start(self._chain_clock.now())
         self.errors = {}
-        self._active = True
-        return super().on_activate(state)
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def stop(self) -> None:
+        """Fade the offset out; a fault stays one until somebody activates again."""
         if self._correction is not None and self._correction.supervisor.state is not State.FAULT:
             self._correction.stop(self._chain_clock.now(), "deactivated")
-        self._active = False
-        return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._cleanup()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._cleanup()
-        return TransitionCallbackReturn.SUCCESS
 
     def _configure_and_activate(self) -> None:
         if self.trigger_configure() is TransitionCallbackReturn.SUCCESS and self._in_force is not None:
             self.trigger_activate()
 
-    def _cleanup(self) -> None:
-        for destroy, entity in self._entities:
-            destroy(entity)
-        self._entities.clear()
-        self._correction, self._in_force, self._active = None, None, False
+    def release(self) -> None:
+        """Forget chain and model."""
+        self._correction, self._in_force = None, None
 
-    def _configure(self) -> None:
+    def configure(self) -> None:
+        """Build the chain and put the stated model in force. Raises IrecError."""
         p = self._p
         robot, serial, payload, axes = self._robot_and_serial()
         raw = bool(p["raw_wrench"])
@@ -159,7 +128,7 @@ class CorrectionNode(Guarded, LifecycleNode):
             self, self._correction, self._chain_clock, serial, parameters.offset_frame(p), self._status,
             parameters.outputs(p), names,
         )  # fmt: skip
-        self._entities += self._outputs.entities
+        self.entities += self._outputs.entities
         self._last_tick = -1.0
         self.get_logger().info(str(delay_cost(filters, p["process_feed"], p["deflection_slope"])))
         if p["model_path"]:
@@ -205,9 +174,9 @@ class CorrectionNode(Guarded, LifecycleNode):
             return response
         try:
             response.sha256 = self._put_in_force(request.model_path)
-            if self._active and correction.supervisor.state is State.INACTIVE:
+            if self.active and correction.supervisor.state is State.INACTIVE:
                 correction.start(self._chain_clock.now())
-            elif not self._active and (self._p["autostart"] or correction.supervisor.state is State.FAULT):
+            elif not self.active and (self._p["autostart"] or correction.supervisor.state is State.FAULT):
                 self.trigger_activate()
         except IrecError as error:
             response.message = str(error)
@@ -252,9 +221,9 @@ class CorrectionNode(Guarded, LifecycleNode):
         if not 0.0 <= now - self._last_tick < EARLY * self._period:
             self._tick(now)
 
-    def on_error(self, where: str, error: Exception) -> None:
+    def on_error(self, where: str, error: Exception, answered: bool) -> None:
         """What no check has foreseen fades the offset out; a service that failed has changed nothing."""
-        if self._correction is not None and not where.startswith("service"):
+        if self._correction is not None and not answered:
             self._correction.fail(where, f"unexpected error in {where}: {type(error).__name__}: {error}")
 
     # -- output --------------------------------------------------------------------------------------------------------
@@ -268,7 +237,7 @@ class CorrectionNode(Guarded, LifecycleNode):
         self._last_tick = now
         out = self._chain().tick(now)
         self._outputs.publish(now, out)
-        if out.state is State.FAULT and self._active:
+        if out.state is State.FAULT and self.active:
             self.trigger_deactivate()  # stays in FAULT; so "activate" is what the operator can ask for
 
     def _on_second(self) -> None:
@@ -285,22 +254,12 @@ def run(args: list[str] | None, priority: int, refused: str) -> int:
     Args:
         priority: SCHED_FIFO priority of the process, 0: none. refused: why the system did not permit it, or empty.
     """
-    if not begin("correction_node", args=args, signal_handler_options=SignalHandlerOptions.NO):
-        return 2
-    asked_to_stop = stop_on_signals()
-    try:
+
+    def make(_: threading.Event) -> CorrectionNode:
         node = CorrectionNode()
-    except Exception as error:  # parameters out of range, and whatever else rclpy raises for them
-        print(f"correction_node: error: {error}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return 2
-    for text in [refused, *settle_memory()] if priority else []:
-        if text:
-            node.get_logger().warning(text)
-    executor = EventsExecutor()
-    executor.add_node(node)
-    try:
-        spin_until(asked_to_stop, node.guarded("executor", executor.spin_once))
-    finally:
-        rclpy.try_shutdown()
-    return 0
+        for text in [refused, *settle_memory()] if priority else []:
+            if text:
+                node.get_logger().warning(text)
+        return node
+
+    return run_managed("correction_node", make, args)

@@ -7,7 +7,6 @@ A lifecycle node: configured, it answers the controller with zero; active, with 
 from __future__ import annotations
 
 import contextlib
-import sys
 import time
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -18,14 +17,11 @@ from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
 from irec_ros.diagnostics import Diagnostics
-from irec_ros.guard import Guarded
 from irec_ros.parameters import Parameters
-from irec_ros.startup import begin, refuse_unknown_parameters, spin_until, stop_on_signals
+from irec_ros.startup import refuse_unknown_parameters
 from rclpy.clock import Clock, ClockType
-from rclpy.experimental import EventsExecutor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 
 from irec_msgs.srv import ActivateModel
 
@@ -39,6 +35,7 @@ from ..state import State
 from ..watchdog import Fault, Finding
 from . import parameters
 from .chain_clock import ChainClock
+from .managed import Managed, run_managed
 from .model_checks import Mounted, read_checked
 from .rsi_inputs import RsiInputs
 from .rsi_monitor import MONITOR_RATE, RsiMonitor
@@ -47,7 +44,7 @@ IN_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 ANSWER_WAIT = 2.0  # s for the loop to carry out a command
 
 
-class RsiNode(Guarded, LifecycleNode):
+class RsiNode(Managed):
     """Creates the blocks, tells the loop its setup, publishes what it reports."""
 
     _monitor: RsiMonitor
@@ -63,49 +60,26 @@ class RsiNode(Guarded, LifecycleNode):
         self._status = self._diagnostics = Diagnostics(self)
         self._clock_of_chain = ChainClock(self)
         self._answers: list[str] = []
-        self._entities: list[tuple[Any, Any]] = []  # how it is destroyed, what
         self._blocks: list[SharedValues] = []
-        self._configured = self._active = False
-        self._refused = ""  # why the last transition failed
+        self._begun = False  # the loop has its setup
         if p["autostart"]:
             self._configure_and_activate()
 
     # -- lifecycle -----------------------------------------------------------------------------------------------------
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            self._configure()
-        except IrecError as error:
-            self._refused = str(error)
-            self.get_logger().error(f"not configured: {error}")
-            self._cleanup()
-            return TransitionCallbackReturn.FAILURE
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._refused = self._ask("start")
-        if self._refused:
-            self.get_logger().error(f"not activated: {self._refused}")
-            return TransitionCallbackReturn.FAILURE
-        self._active = True
+    def start(self) -> None:
+        """Let the loop follow. Raises SettingsError."""
+        if why := self._ask("start"):
+            raise SettingsError(why)
         self._monitor.state = State.INACTIVE  # a fault that was is over; the loop tells what follows
-        return super().on_activate(state)
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        if self._monitor.state is not State.FAULT:  # a fault stays one until somebody activates again
+    def stop(self) -> None:
+        """Fade the offset out; a fault stays one until somebody activates again."""
+        if self._monitor.state is not State.FAULT:
             self._ask("stop")
-        self._active = False
-        return super().on_deactivate(state)
 
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._cleanup()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._cleanup()
-        return TransitionCallbackReturn.SUCCESS
-
-    def _configure(self) -> None:
+    def configure(self) -> None:
+        """Answer the controller with zero. Raises IrecError."""
         p = self._p
         if not p["cell"]:
             raise SettingsError("parameter 'cell' is empty; name a cell file")
@@ -116,7 +90,7 @@ class RsiNode(Guarded, LifecycleNode):
         wrench_frame = str(p["sensor_frame"]) if p["raw_wrench"] else "tool0"
         self._inputs = RsiInputs(
             self._clock_of_chain, wrench_frame, p["watch.clock_tolerance"], max(p["watch.force_range"], p["watch.torque_range"]),
-            self._tell_refused,
+            self._pass_on_refusal,
         )  # fmt: skip
         self._mounted = Mounted(
             self._cell.robot, self._serial, str(p["tool"]), p.three("gravity"), self._cell.payload, 1e-3 * p["cycle_ms"],
@@ -126,34 +100,26 @@ class RsiNode(Guarded, LifecycleNode):
         names = list(self._cell.robot.joint_names)
         computes = p["source"] == "chain"
         self._monitor = RsiMonitor(self, self._report, self._latency, names, self._serial, computes, self._status)
-        self._entities += self._monitor.entities
+        self.entities += self._monitor.entities
         self._begin()
-        self._configured = True
+        self._begun = True
         self._create()
         if p["model_path"]:
             why = self._put_in_force(str(p["model_path"]))
             if why:
                 raise SettingsError(why)
 
-    def _cleanup(self) -> None:
-        if self._configured:
+    def release(self) -> None:
+        """Free the port and the blocks."""
+        if self._begun:
             self._ask("release")
-        self._configured = self._active = False
-        for destroy, entity in self._entities:
-            destroy(entity)
-        for block in self._blocks:
-            block.close()
-        self._entities.clear()
-        self._blocks.clear()
+        self._begun = False
+        self._close_blocks()
 
     def _configure_and_activate(self) -> None:
         """Raises SettingsError."""
-        steps = [self.trigger_configure]
-        if self._p["model_path"] or self._p["source"] == "offset_topic":  # there is something to follow
-            steps.append(self.trigger_activate)
-        for step in steps:
-            if step() is not TransitionCallbackReturn.SUCCESS:
-                raise SettingsError(self._refused)
+        to_follow = self._p["model_path"] or self._p["source"] == "offset_topic"
+        self.go_through(self.trigger_configure, *([self.trigger_activate] if to_follow else []))
 
     def _begin(self) -> None:
         """Send the setup. Raises SettingsError where the loop can't begin."""
@@ -218,7 +184,7 @@ class RsiNode(Guarded, LifecycleNode):
 
     def _create(self) -> None:
         p = self._p
-        made = self._entities
+        made = self.entities
         subscribe, serve = self.create_subscription, self.create_service
         if p["source"] == "chain":
             made.append((self.destroy_service, serve(ActivateModel, "irec/correction/activate_model", self._on_activate_model)))
@@ -265,10 +231,10 @@ class RsiNode(Guarded, LifecycleNode):
 
     def _put_in_force_and_start(self, path: str) -> str:
         why = self._put_in_force(path)
-        if not why and self._active:
+        if not why and self.active:
             why = self._ask("start")
         elif not why and (self._p["autostart"] or self._monitor.state is State.FAULT):
-            why = "" if self.trigger_activate() is TransitionCallbackReturn.SUCCESS else self._refused
+            why = "" if self.trigger_activate() is TransitionCallbackReturn.SUCCESS else self.refused
         return why
 
     def _on_activate_model(self, request: ActivateModel.Request, response: ActivateModel.Response) -> ActivateModel.Response:
@@ -282,7 +248,7 @@ class RsiNode(Guarded, LifecycleNode):
     def _on_timer(self) -> None:
         self._listen(0.0)
         self._monitor.publish()
-        if self._monitor.state is State.FAULT and self._active and self._p["source"] == "chain":
+        if self._monitor.state is State.FAULT and self.active and self._p["source"] == "chain":
             self.trigger_deactivate()  # stays in FAULT; so "activate" is what the operator can ask for
 
     def _on_second(self) -> None:
@@ -290,21 +256,24 @@ class RsiNode(Guarded, LifecycleNode):
         errors = [f"{where}: {text}" for where, text in self.errors.items()]
         self._monitor.publish_diagnostics("; ".join(refused + errors))
 
-    def on_error(self, where: str, error: Exception) -> None:
+    def on_error(self, where: str, error: Exception, answered: bool) -> None:
         """A loop that can't be reached any more ends the node; anything else fades the offset out, unless a service failed."""
         if isinstance(error, (EOFError, BrokenPipeError)):
             rclpy.try_shutdown()
-        elif self._configured and not where.startswith("service"):
-            self._tell_refused(where, Finding(Fault.INTERNAL, f"unexpected error in {where}: {type(error).__name__}: {error}"))
+        elif self._begun and not answered:
+            self._pass_on_refusal(where, Finding(Fault.INTERNAL, f"unexpected error in {where}: {type(error).__name__}: {error}"))
 
-    def _tell_refused(self, source: str, finding: Finding | None) -> None:
-        """The loop does not answer that."""
+    def _pass_on_refusal(self, source: str, finding: Finding | None) -> None:
+        """Tell the loop that an input is refused (None: no longer); the loop does not answer that."""
         if finding is not None:
             self.get_logger().warning(f"{source} is not used: {finding.text}", throttle_duration_sec=5.0)
         self._pipe.send(("refused", (source, finding)))
 
-    def close(self) -> None:
+    def ended(self) -> None:
         """Remove the blocks; the loop keeps its own hold on them."""
+        self._close_blocks()
+
+    def _close_blocks(self) -> None:
         for block in self._blocks:
             block.close()
         self._blocks.clear()
@@ -312,22 +281,9 @@ class RsiNode(Guarded, LifecycleNode):
 
 def main(pipe: Connection, arguments: list[str]) -> int:
     """Run the node; exit code."""
-    if not begin("rsi_bridge", args=arguments, signal_handler_options=SignalHandlerOptions.NO):
-        return 2
-    asked_to_stop = stop_on_signals()
-    try:
-        node = RsiNode(pipe)
-    except Exception as error:  # IrecError, and whatever rclpy raises for parameters out of range
-        print(f"rsi_bridge: error: {error}", file=sys.stderr)
+
+    def if_refused() -> None:
         with contextlib.suppress(OSError):  # the loop's process has ended already where it was the one that refused
             pipe.send(None)
-        rclpy.try_shutdown()
-        return 2
-    executor = EventsExecutor()
-    executor.add_node(node)
-    try:
-        spin_until(asked_to_stop, node.guarded("executor", executor.spin_once))
-    finally:
-        node.close()
-        rclpy.try_shutdown()
-    return 0
+
+    return run_managed("rsi_bridge", lambda _: RsiNode(pipe), arguments, if_refused=if_refused)
