@@ -52,6 +52,7 @@ class SensorProcess:
         self._running = True
         self._passes_on = False  # until told so
         self._recorded = 0.0
+        self._released = False
         self.stopped = False  # by a signal, not by `release`
 
     def run(self) -> None:
@@ -64,6 +65,9 @@ class SensorProcess:
             self._block.close()
             for number, handler in before.items():
                 signal.signal(number, handler)
+        if self._released and self._pipe is not None:
+            with contextlib.suppress(OSError):  # the other side has gone meanwhile
+                self._pipe.send("")  # only now bus and block are free
 
     def _on_signal(self, number: int, frame: object) -> None:
         self._running, self.stopped = False, True
@@ -89,7 +93,9 @@ class SensorProcess:
         if self._pipe is not None:
             try:
                 if self._pipe.poll(0):
-                    self._pipe.send(self._execute(self._pipe.recv()))
+                    answer = self._execute(self._pipe.recv())
+                    if not self._released:
+                        self._pipe.send(answer)
             except (EOFError, OSError):
                 self._pipe = None
                 print("can_ft_node: the ROS side has gone; the sensor is read on", file=sys.stderr)
@@ -100,7 +106,7 @@ class SensorProcess:
             case "pass on" | "pause":
                 self._passes_on = command == "pass on"
             case "release":
-                self._running = False
+                self._running, self._released = False, True
             case "bias":
                 try:
                     self.reader.bias()

@@ -34,6 +34,7 @@ from .parameters import CAN_FT
 
 OUT_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 ANSWER_WAIT = 1.0  # s
+RELEASE_WAIT = 5.0  # s for bus and block to be closed
 SILENT = 0.5  # s without a reading
 
 
@@ -74,15 +75,15 @@ class CanFtNode(Managed):
     def release(self) -> None:
         """Free bus and block."""
         if self._reading:
-            self._ask("release")
+            self._ask("release", RELEASE_WAIT)
         self._reading = False
         self._last = None
 
-    def _ask(self, command: str) -> str:
+    def _ask(self, command: str, wait: float = ANSWER_WAIT) -> str:
         """Empty, or why the sensor's process did not do it."""
         self._pipe.send(command)
-        if not self._pipe.poll(ANSWER_WAIT):
-            return f"the sensor's process did not answer in {ANSWER_WAIT} s"
+        if not self._pipe.poll(wait):
+            return f"the sensor's process did not answer in {wait} s"
         return str(self._pipe.recv())
 
     def configure(self) -> None:
