@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..diagnose.held_out import validated
 from ..identification.identify import fit, identify, observe_with_force_noise
 from ..identification.observe import Observation
 from ..identification.provenance import model_of
@@ -132,7 +133,8 @@ def judge(
     rows = np.isin(observation.pose, held_out)
     rms_new = rms(residual_of(trained, observation)[rows])
     rms_old = float("nan") if in_force is None else rms(residual_of(in_force, observation)[rows])
-    model = model_of(fit(trained.terms, observation), parent=_parent(in_force))
+    held_one_by_one = validated(session, trained.terms).held_out  # as in the file of any other model
+    model = model_of(fit(trained.terms, observation), held_out=held_one_by_one, parent=_parent(in_force))
     floor = observation.whiten.floor
     change = None
     if in_force is not None and before is not None:

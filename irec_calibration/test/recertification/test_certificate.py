@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from irec_calibration.commands import history
 from irec_calibration.errors import IrecError
+from irec_calibration.identification.validation import ESTIMATOR
+from irec_calibration.model.file import load_model
 from irec_calibration.recertification.flow import Outcome, recertify
 from irec_calibration.recertification.request import Request
 from irec_calibration.recertification.store import Store
@@ -37,6 +39,12 @@ def test_html_and_pdf_say_verdict_operator_and_error(done: tuple[Outcome, Store]
     width, height = re.findall(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", pdf.read_bytes())[0]
     assert (float(width), float(height)) == pytest.approx((595.3, 841.9), abs=0.5), "A4 in points, with its margins"
     assert pdf.read_bytes().startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
+
+
+def test_a_recertified_model_states_its_held_out_error_as_every_other_model_does(done: tuple[Outcome, Store]) -> None:
+    outcome, store = done
+    figures = load_model(store.model_path(outcome.calibration)).figures
+    assert 0.0 < figures["cv_rms_m"] < 3 * figures["fit_rms_m"] and figures["estimator"] == ESTIMATOR
 
 
 def test_the_certificate_of_a_passed_check_says_what_would_have_been_found(done: tuple[Outcome, Store]) -> None:
