@@ -142,3 +142,8 @@ class FakeRobot:
     def is_safe(self) -> bool:
         """Retracted and in position control."""
         return not self.force_control and not self.near_surface and self._move is None
+
+
+def keys(robot: FakeRobot) -> list[tuple[int, int, int]]:
+    """Pose, repeat and load case of each row that was recorded."""
+    return [(r.pose, r.repeat, r.load_case) for r in robot.rows]

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fake_robot import FakeRobot
+from fake_robot import FakeRobot, keys
 from irec_calibration.procedure.commands import ForceSetpoint, MoveJoint, MoveLinear, SwitchMode
 from irec_calibration.procedure.table import STATES
-from test_procedure_machine import keys
 
 
 @pytest.mark.parametrize("state", [s.name for s in STATES.values() if s.otherwise])

@@ -5,15 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fake_robot import FORCES, FakeRobot
+from fake_robot import FORCES, FakeRobot, keys
 from irec_calibration.procedure.commands import MoveJoint, MoveLinear, SwitchMode
 from irec_calibration.procedure.entries import ENTRIES
 from irec_calibration.procedure.guards import GUARDS
 from irec_calibration.procedure.table import STATES
-
-
-def keys(robot: FakeRobot) -> list[tuple[int, int, int]]:
-    return [(r.pose, r.repeat, r.load_case) for r in robot.rows]
 
 
 def kinds(robot: FakeRobot) -> list[str]:
