@@ -9,7 +9,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 
-PATIENCE = 2.0  # s of the machine's clock; a follower that is silent for longer is gone
+# s of the machine's clock; a follower that is silent for longer is gone. Shorter than the 1.5 s of silence for which a
+# procedure lets the robot press: a node that was killed while it was waited for must not look like a dead driver
+PATIENCE = 1.0
 
 
 class Followers:
@@ -29,7 +31,7 @@ class Followers:
                 if time.monotonic() - since < PATIENCE:
                     return False
                 del self._seen[name]
-                self._node.get_logger().warning(f"follower {name} is silent for {PATIENCE:.0f} s and not waited for any more")
+                self._node.get_logger().warning(f"follower {name} is silent for {PATIENCE:g} s and not waited for any more")
         return True
 
     def _on_follower(self, message: Header) -> None:
