@@ -11,6 +11,7 @@ from typing import Any
 from ..errors import IrecError
 
 ANSWER = 5.0  # s
+PUT_ANSWER = 40.0  # s: calibration_node itself waits for correction_node, 10 s until it is there and 10 s for its answer
 POLL = 0.1  # s
 
 
@@ -101,7 +102,7 @@ class RosLink:
     async def put_in_force(self, who: str, calibration: str) -> str:
         """Put a stored calibration in force (empty: the one before). Raises IrecError with the reason where it is refused."""
         request = self._put_type(operator_name=who, calibration=calibration)
-        answer = await self._ask("irec/put_in_force", request, "calibration_node")
+        answer = await self._ask("irec/put_in_force", request, "calibration_node", PUT_ANSWER)
         if not answer.success:
             raise IrecError(str(answer.message))
         return str(answer.message)
@@ -112,14 +113,14 @@ class RosLink:
             raise IrecError(str(answer.message))
         return str(answer.message)
 
-    async def _ask(self, name: str, request: Any, node: str) -> Any:
+    async def _ask(self, name: str, request: Any, node: str, patience: float = ANSWER) -> Any:
         client = self._clients[name]
         begun = time.monotonic()
         while not client.service_is_ready():
             if time.monotonic() - begun > ANSWER:
                 raise IrecError(f"{node} does not answer on {name}; start it")
             await asyncio.sleep(POLL)
-        return await _done(client.call_async(request), ANSWER, name)
+        return await _done(client.call_async(request), patience, name)
 
     def _on_feedback(self, message: Any) -> None:
         f = message.feedback

@@ -44,7 +44,8 @@ def own_preconditions(place: Place, store: Store, request: Request) -> tuple[Pre
             check_belongs(now[2], place.robot, place.serial, "the cell")
             before = session_of(store, now[0])
         text = "no calibration is in force yet: this run makes the first" if now is None else f"calibration {now[0].calibration}"
-        out.append(Precondition("model", True, text))
+        nothing = _nothing_to_check(request, before)
+        out.append(Precondition("model", not nothing, nothing or text))
     except IrecError as error:
         out.append(Precondition("model", False, str(error)))
     if before is not None and place.tool is not None:
@@ -58,6 +59,17 @@ def own_preconditions(place: Place, store: Store, request: Request) -> tuple[Pre
     except IrecError as error:
         out.append(Precondition("poses", False, str(error)))
     return (*out, _disk(store))
+
+
+def _nothing_to_check(request: Request, before: Session | None) -> str:
+    """Why a check that must not go on to the full procedure can't be made; empty where it can, or may go on."""
+    if not request.check_only or request.resume:
+        return ""
+    if request.full:
+        return "check_only and full are both asked for; leave one of them out"
+    if before is None:
+        return "there is no calibration in force with its session, which a check compares with; run the full procedure"
+    return ""
 
 
 def not_an_operator(name: str, operators: Sequence[str]) -> str:

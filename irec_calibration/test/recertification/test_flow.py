@@ -300,6 +300,19 @@ def test_a_check_only_never_starts_the_full_procedure(store: Store) -> None:
     assert outcome.verdict == "failed: the robot has changed" and side.runs == ["quick"]
 
 
+def test_a_check_only_moves_nothing_where_there_is_nothing_to_compare_with(tmp_path: Path) -> None:
+    side, poses = FakeCell(), pose_file(tmp_path / "poses.yaml", 10)
+    outcome = recertify(PLACE, Store(tmp_path, "S-1"), Request("M. Muster", str(poses), check_only=True), side)
+    assert outcome.verdict == "failed: model" and "run the full procedure" in outcome.text
+    assert side.runs == [] and not side.activated
+
+
+def test_a_check_only_that_is_to_be_full_as_well_is_refused_before_anything_moves(store: Store) -> None:
+    side = FakeCell()
+    outcome = year(store, side, check_only=True, full=True)
+    assert outcome.verdict == "failed: model" and "leave one of them out" in outcome.text and side.runs == []
+
+
 def test_too_few_poses_come_with_the_error_first_and_with_what_to_do(tmp_path: Path) -> None:
     poses = pose_file(tmp_path / "poses.yaml", 10)
     outcome = recertify(PLACE, Store(tmp_path, "S-1"), Request("M. Muster", str(poses)), FakeCell())
