@@ -52,6 +52,7 @@ class FakeRobot:
         self.marker = np.array([2.0, 0.0, 0.0])
         self.sees_marker = True
         self.delivers_force = True
+        self.delivers_joints = True  # and tcp_pose
         self.force_share = np.ones(3)  # what the contact can hold of the wanted force
         self.extra_force = np.zeros(3)
         self.obeys_moves = self.obeys_modes = True
@@ -111,8 +112,9 @@ class FakeRobot:
             self.streams.add_wrench(self.now, (*noisy, 0.0, 0.0, 0.0))
         if self.sees_marker:
             self.streams.add_marker(self.now, *(self.marker + self.rng.normal(0, 1e-5, 3)), "A")
-        self.streams.add_joints(self.now, NAMES, (0.0,) * 6)
-        self.streams.add_tcp(self.now, *self.tcp)
+        if self.delivers_joints:
+            self.streams.add_joints(self.now, NAMES, (0.0,) * 6)
+            self.streams.add_tcp(self.now, *self.tcp)
 
     def _carry_out(self, command: object) -> None:
         if isinstance(command, MoveJoint | MoveLinear):

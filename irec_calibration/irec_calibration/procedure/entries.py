@@ -22,6 +22,7 @@ WITHDRAW = 0.05  # m along the tool, from a contact that a run finds
 FIRST_POSE_LIMIT = 0.5  # share of the load cases of the first pose that may be rejected
 UNLOADED_N, UNLOADED_SHARE = 20.0, 0.15  # N and share of the normal force: more before contact is no process force
 SAME_TIME = 0.1  # s between readings that may be compared with each other
+FRESH = 0.3  # s of the machine's clock: joint angles that came longer ago say nothing about where the robot is now
 
 
 def nothing(p: Procedure) -> None:
@@ -84,7 +85,7 @@ def _standing_problem(p: Procedure, q: Array | None = None, rail: float | None =
     if p.plausibility is None or joints is None or tcp is None or not p.streams.stands:
         return ""
     newest = p.streams.newest()
-    if abs(newest["joints"] - newest["TCP"]) > SAME_TIME:
+    if abs(newest["joints"] - newest["TCP"]) > SAME_TIME or p.watch.silent_for("joints") > FRESH:
         return ""  # one of them has stopped: the watch over silence says which
     seen = marker is not None and marker[0] > max(p.streams.newest().values()) - SAME_TIME
     place = marker[1:] if marker is not None and seen else (None, "")

@@ -47,11 +47,16 @@ class Watch:
         self._robot: RobotSays | None = None
         self._robot_news = False
         self._robot_received = 0.0  # machine's clock
+        self._looked = 0.0  # machine's clock
         self._near_at = 0.0  # cell's elapsed time when the force was last near its set point, or on the way to it
 
     def robot_said(self, mode: int, retreating: bool = False, message: str = "") -> None:
         """A message on robot/state."""
         self._robot, self._robot_news = RobotSays(mode, retreating, message), True
+
+    def silent_for(self, name: str) -> float:
+        """How long nothing of a stream (a key of TOPICS) had come when this last looked, s of the machine's clock."""
+        return self._looked - self._received[name][1]
 
     @property
     def robot_presses(self) -> bool:
@@ -61,6 +66,7 @@ class Watch:
     def look(self, steady: float) -> None:
         """End the run where there is a reason. steady: the machine's clock, s."""
         p = self._p
+        self._looked = steady
         for name, (count, _) in self._received.items():
             if p.streams.counts[name] != count:
                 self._received[name] = p.streams.counts[name], steady

@@ -65,6 +65,25 @@ def test_a_robot_that_left_the_contact_by_itself_ends_the_run_with_its_own_words
     assert "no force set point came for 0.5 s" in robot.procedure.stopped_because and robot.is_safe
 
 
+class NeverThere:
+    """Says of any readings that the robot is not where it was to go."""
+
+    def arrival_problem(self, *_: object) -> str:
+        return "does the driver move by the names and units of the goal?"
+
+    def problem(self, *_: object) -> str:
+        return ""
+
+
+@pytest.mark.parametrize(("silent", "named"), [(True, "joint_states is silent"), (False, "names and units of the goal")])
+def test_joint_angles_from_before_a_move_are_not_taken_for_where_it_has_led(silent: bool, named: str) -> None:
+    robot = FakeRobot(plausibility=NeverThere()).start().run(stop_when="home")
+    robot.tick()
+    robot.delivers_joints = not silent
+    robot.run()
+    assert named in robot.procedure.stopped_because and robot.is_safe
+
+
 def test_a_silent_robot_state_ends_the_run() -> None:
     robot = FakeRobot(2).start()
     robot.run(stop_when="settle")
