@@ -172,7 +172,7 @@ def drive(
     operator: Operator, tell: Progress, args: argparse.Namespace, out: Path, models: dict[str, Path | None]
 ) -> dict[str, Path]:
     """The loaded course once for each model, None for no correction; the tables that the cell writes, by the same names."""
-    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+    from demo_parts.operator import CELL_PARAMETERS, speed_request
     from rcl_interfaces.srv import SetParameters
     from std_srvs.srv import Trigger
 
@@ -183,9 +183,7 @@ def drive(
         if not answer.success:
             raise ValueError(f"{name}: {answer.message}")
 
-    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=COURSE_SPEED)
-    slower = SetParameters.Request(parameters=[Parameter(name="speed_factor", value=value)])
-    operator.call(SetParameters, "cell/set_parameters", slower, 10.0)
+    operator.call(SetParameters, CELL_PARAMETERS, speed_request(COURSE_SPEED), 10.0)
     ask(Trigger, "recorder/start", Trigger.Request(), 10.0)
     courses, home = {}, read_cell(args.cell).home.tolist()
     for name, model in models.items():

@@ -9,13 +9,22 @@ from typing import Any
 
 import rclpy
 from irec_ros.seen import SeenBy
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from irec_msgs.action import Move, RunProcedure
 
+CELL_PARAMETERS = "cell/set_parameters"
 SERVER_WAIT = 120.0  # s; a process that has ended is told at once
+
+
+def speed_request(speed: float) -> SetParameters.Request:
+    """For CELL_PARAMETERS: so many simulated seconds per second."""
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=speed)
+    return SetParameters.Request(parameters=[Parameter(name="speed_factor", value=value)])
 
 
 class RequestRefused(RuntimeError):
@@ -31,6 +40,7 @@ class Operator:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._watch = watch
+        self._of_cell = self.node.create_client(SetParameters, CELL_PARAMETERS)
 
     def close(self) -> None:
         self._executor.shutdown(timeout_sec=1.0)
@@ -57,6 +67,11 @@ class Operator:
         self._until(future.done, timeout, f"service {name} did not answer", tell)
         self.node.destroy_client(client)
         return future.result()
+
+    def set_speed(self, speed: float) -> None:
+        """Ask the simulated cell for so many simulated seconds per second, without waiting for its answer."""
+        if self._of_cell.service_is_ready():
+            self._of_cell.call_async(speed_request(speed))
 
     def move_joints(self, q: Sequence[float], speed: float, timeout: float) -> None:
         """Move the robot to joint angles, rad; speed is a share of the limits."""
