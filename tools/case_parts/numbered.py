@@ -57,7 +57,7 @@ def _poses(case: Case) -> Section:
     pool = plan.pool.p_in_cell
     chosen = np.array([_in_cell(cell, p.q, p.ext.get("rail", 0.0)) for p in planned])
     plt = pyplot()
-    figure, ax = plt.subplots(figsize=(6.5, 7), layout="constrained")
+    figure, ax = plt.subplots(figsize=(9, 4.6), layout="constrained")
     ax.scatter(pool[:, 1], pool[:, 2], s=3, color=GREY, label=f"pool, {len(pool)}")
     ax.scatter(*pool[plan.chosen][:, 1:].T, s=60, marker="s", color=RED, label=f"IOOPS, {len(plan.chosen)}")
     ax.scatter(*chosen[:, 1:].T, s=50, color=BLUE, edgecolor="black", label=f"COVER, {len(chosen)}")
