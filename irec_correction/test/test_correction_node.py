@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from cell_side import CELL, CellSide, afp_model
+from cell_side import CELL, START, CellSide, afp_model
 from chain import WRENCH, Q, model
 from irec_calibration.cell import read_cell
+from irec_calibration.recertification.store import Store
 from irec_correction.deflection import Deflection
 
 pytestmark = pytest.mark.ros
@@ -48,6 +50,36 @@ def test_activated_node_streams_minus_the_deflection_and_fades_out_when_the_sens
     cell_side.until(lambda: np.linalg.norm(cell_side.offsets[-1]) < 1e-8, what="no offset")
     steps = np.linalg.norm(np.diff(np.array([np.zeros(3), *cell_side.offsets]), axis=0), axis=1)
     assert steps.max() <= 0.02 * 0.004 * 3  # messages may be lost on the way here: three ticks at most between two
+
+
+def test_a_node_that_comes_back_takes_the_calibration_in_force_and_waits_to_be_activated(
+    ros_domain, start_process, tmp_path
+):
+    store = Store(tmp_path, read_cell(CELL).serial)
+    (tmp_path / "new").mkdir()
+    path = afp_model(tmp_path / "new")
+    shutil.move(path, tmp_path / "new" / "model.yaml")
+    entry = store.put_in_force(store.add(tmp_path / "new", "recalibrated", "M").calibration, "M")
+    start = [sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
+             "-p", "autostart:=true", "-p", f"calibrations:={tmp_path}"]  # fmt: skip
+    first = start_process(start, name="correction")
+    side = CellSide()
+    try:
+        side.until(lambda: side.states and side.states[-1].model_sha256 == entry.model_sha256, START, "the model in force")
+        assert side.states[-1].state == 0, "INACTIVE until somebody asks"
+        first.kill()
+        first.wait()
+        side.states.clear()
+        stored = store.model_path(entry.calibration)
+        stored.write_text(stored.read_text() + "# changed by hand")
+        start_process(start, name="changed")
+        side.until(lambda: side.states and any("was changed since" in str(d) for d in side.diagnostics), START, "the reason")
+        assert side.states[-1].model_sha256 == "" and side.states[-1].state == 0
+        answer = side.activate(afp_model(tmp_path))
+        assert answer.success, answer.message
+        side.until(lambda: side.states[-1].state == 2, what="ACTIVE")
+    finally:
+        side.close()
 
 
 def check_joint_offset(message, deflection):

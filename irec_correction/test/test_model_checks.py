@@ -15,9 +15,10 @@ from irec_calibration.errors import ModelError
 from irec_calibration.model import Envelope
 from irec_calibration.model.file import save_model
 from irec_calibration.model.plausibility import check_envelope
+from irec_calibration.recertification.store import Store
 from irec_calibration.robot import Robot
-from irec_correction.errors import ActivationError
-from irec_correction.nodes.model_checks import Mounted, read_checked
+from irec_correction.errors import ActivationError, SettingsError
+from irec_correction.nodes.model_checks import Mounted, calibration_in_force, read_checked
 
 MOUNTED = Mounted(ROBOT, "S-1", "roller", (0.0, 0.0, -9.81), None, PERIOD)
 
@@ -64,6 +65,21 @@ def test_a_sound_model_is_accepted_with_its_largest_offset(tmp_path):
     assert not checked.changed()
     written(tmp_path, every_compliance(1.1))
     assert "was changed" in checked.changed()
+
+
+def test_the_calibration_in_force_is_found_beside_the_cell_file_and_refused_where_it_was_changed(tmp_path):
+    cell, store = tmp_path / "cell.yaml", Store(tmp_path / "calibrations", "S-1")
+    assert calibration_in_force(str(cell), "calibrations", "S-1") is None
+    (tmp_path / "new").mkdir()
+    written(tmp_path / "new")
+    store.put_in_force(store.add(tmp_path / "new", "recalibrated", "M").calibration, "M")
+    path = calibration_in_force(str(cell), "calibrations", "S-1")
+    assert path == store.model_path("0001")
+    path.write_text(path.read_text() + "# by hand")
+    with pytest.raises(ModelError, match="was changed since it came into the store"):
+        calibration_in_force(str(cell), "calibrations", "S-1")
+    with pytest.raises(SettingsError, match="needs parameter 'cell'"):
+        calibration_in_force("", "calibrations", "S-1")
 
 
 NAN = float("nan")

@@ -19,7 +19,10 @@ pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
 pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`")
 
 import rclpy
-from irec_calibration.cell import read_cell
+from irec_calibration.cell import Cell, read_cell
+from irec_calibration.effects import find_effect
+from irec_calibration.model import Estimate, Model, Term
+from irec_calibration.model.file import save_model
 from irec_calibration.poses.plan import make_plan, pose_list
 from irec_calibration.poses.store import write_poses
 from irec_calibration.recertification.run_state import interrupted
@@ -30,7 +33,7 @@ from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from irec_msgs.action import Recertify
-from irec_msgs.msg import ProcedureStatus, RobotState
+from irec_msgs.msg import CorrectionState, ProcedureStatus, RobotState
 
 if TYPE_CHECKING:
     Start = Callable[..., subprocess.Popen[bytes]]
@@ -69,9 +72,11 @@ class Person:
         self.node = rclpy.create_node("person")
         self.status = ProcedureStatus()
         self.robot = RobotState()
+        self.correction = CorrectionState()
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(ProcedureStatus, "irec/procedure/status", self._on_status, latched)
         self.node.create_subscription(RobotState, "robot/state", self._on_robot, 10)
+        self.node.create_subscription(CorrectionState, "irec/correction/state", self._on_correction, 10)
         self.client: ActionClient | None = None
 
     def _on_status(self, message: ProcedureStatus) -> None:
@@ -79,6 +84,9 @@ class Person:
 
     def _on_robot(self, message: RobotState) -> None:
         self.robot = message
+
+    def _on_correction(self, message: CorrectionState) -> None:
+        self.correction = message
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
         end = time.monotonic() + PATIENCE
@@ -102,7 +110,7 @@ class Person:
         self.client = self.client or ActionClient(self.node, Recertify, "irec/recertify")
         self.until(self.client.server_is_ready, "irec/recertify")
         self.until(SeenBy.of_action(self.node, "irec/recertify"), "the server finds this client")
-        asked = Recertify.Goal(operator_name="M", dry_run=True, confirmed=["area", "disc", "tool"], **goal)
+        asked = Recertify.Goal(**{"operator_name": "M", "dry_run": True, "confirmed": ["area", "disc", "tool"], **goal})
         sent = self.client.send_goal_async(asked)
         self.until(sent.done, "the goal is accepted")
         return sent.result().get_result_async()
@@ -161,6 +169,68 @@ def test_a_run_goes_on_whoever_is_killed_in_its_middle(ros_domain: int, start_pr
         stamp = [session.stamp[session.pose == p] for p in range(1, POSES + 1)]
         assert all(a.max() < b.min() for a, b in itertools.pairwise(stamp)), "complete poses were not measured again"
         assert len(list((store.folder / "runs").iterdir())) == 1 and interrupted(store) == ""
+    finally:
+        person.node.destroy_node()
+        rclpy.shutdown()
+
+
+def store_with_a_stiff_robot(folder: Path, cell: Cell) -> Store:
+    """A calibration in force that says the robot hardly gives way."""
+    spring = Term(find_effect("joint_torsion"), {f"c_{k}": Estimate(1e-8, lower=0.0) for k in range(1, 7)})
+    bending = Term(find_effect("link_bending"), {f"c_{k}{s}": Estimate(1e-9, lower=0.0) for k in range(1, 7) for s in "ab"})
+    (folder / "old").mkdir()
+    save_model(Model((spring, bending), cell.serial, urdf_sha256=cell.robot.sha256), folder / "old" / "model.yaml")
+    store = Store(folder / "cal", cell.serial)
+    store.put_in_force(store.add(folder / "old", "recalibrated", "M").calibration, "M")
+    return store
+
+
+def test_a_recalibration_goes_on_while_correction_and_recorder_are_killed_and_come_back(
+    ros_domain: int, start_process: Start, tmp_path: Path
+) -> None:
+    path = tmp_path / "cell.yaml"
+    text = CELL.read_text().replace("../robots", str(CELL.parents[1] / "robots"))
+    path.write_text(text.replace("min_poses: 12", "min_poses: 4"))
+    cell = read_cell(path)
+    poses = write_poses(pose_list(cell, make_plan(cell, 4, pool_size=60)), tmp_path / "poses.yaml")
+    store = store_with_a_stiff_robot(tmp_path, cell)
+    correction_node = node(
+        "irec_correction.nodes.correction_node", cell=path, calibrations="cal", autostart="true", use_sim_time="true"
+    )
+
+    def recorder_node(name: str) -> list[str]:
+        topics = "['joint_states', 'wrench', 'robot/state', 'irec/procedure/status']"
+        return node("irec_calibration.nodes.recorder_node", output=tmp_path / name, topics=topics, use_sim_time="true")
+
+    start_process(node("irec_sim.nodes.cell_node", cell=path, speed_factor=6.0, max_lead=0.1), name="cell")
+    start_process(
+        node("irec_calibration.nodes.procedure_node", cell=path, session_folder=tmp_path, use_sim_time="true"), name="procedure"
+    )
+    start_process(node("irec_calibration.nodes.calibration_node", cell=path, calibration_folder="cal"), name="calibration")
+    correction, recorder = start_process(correction_node, "correction"), start_process(recorder_node("recording"), "recorder")
+    rclpy.init()
+    person = Person()
+    try:
+        future = person.ask(full=True, dry_run=False, poses_path=str(poses))
+        person.presses(after=1)
+        kill(correction)
+        correction = start_process(correction_node, "correction_2")
+        person.presses(after=2)
+        kill(recorder)
+        start_process(recorder_node("recording_2"), "recorder_2")
+
+        result = person.answer(future)
+        assert result.success and result.activated and result.verdict == "recalibrated", f"{result.verdict}. {result.text}"
+        session = read_session(result.session_path)
+        assert len(session) == 6 * 4 and interrupted(store) == "", "each pose once"
+        entry = store.in_force_entry()
+        assert entry is not None and entry.calibration == result.calibration
+
+        kill(correction)
+        person.correction = CorrectionState()
+        start_process(correction_node, "correction_3")
+        person.until(lambda: person.correction.model_sha256 == entry.model_sha256, "the calibration in force, after a restart")
+        assert person.correction.state == CorrectionState.INACTIVE, "nobody has asked the restarted node to correct"
     finally:
         person.node.destroy_node()
         rclpy.shutdown()

@@ -35,7 +35,7 @@ from .chain_clock import ChainClock
 from .correction_inputs import CorrectionInputs
 from .correction_outputs import CorrectionOutputs
 from .managed import Managed, run_managed
-from .model_checks import CheckedModel, Mounted, read_checked
+from .model_checks import CheckedModel, Mounted, calibration_in_force, read_checked
 from .tool_load_service import create_services
 
 SENSOR_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -92,7 +92,7 @@ class CorrectionNode(Managed):
             self._correction.stop(self._chain_clock.now(), "deactivated")
 
     def _configure_and_activate(self) -> None:
-        if self.trigger_configure() is TransitionCallbackReturn.SUCCESS and self._in_force is not None:
+        if self.trigger_configure() is TransitionCallbackReturn.SUCCESS and self._in_force is not None and self._p["model_path"]:
             self.trigger_activate()
 
     def release(self) -> None:
@@ -133,6 +133,8 @@ class CorrectionNode(Managed):
         self.get_logger().info(str(delay_cost(filters, p["process_feed"], p["deflection_slope"])))
         if p["model_path"]:
             self._put_in_force(str(p["model_path"]))
+        elif p["calibrations"]:
+            self._take_calibration(str(p["cell"]), str(p["calibrations"]), serial)
         if self._described is not None:
             self._compare_robot(self._described)
         self._offer(raw)
@@ -158,6 +160,7 @@ class CorrectionNode(Managed):
         checked = read_checked(path, self._mounted)
         self._chain().put_in_force(checked.model, self._chain_clock.now(), checked.deflection)
         self._in_force = self._outputs.in_force = checked
+        self.errors.pop("calibrations", None)
         for effect, why in checked.deflection.left_out.items():
             self.get_logger().info(f"effect '{effect}' has no part in the correction: it {why}")
         self.get_logger().info(
@@ -165,6 +168,22 @@ class CorrectionNode(Managed):
             f"{checked.largest_offset * 1e3:.2f} mm in its envelope)"
         )
         return checked.sha256
+
+    def _take_calibration(self, cell: str, folder: str, serial: str) -> None:
+        """Follow the calibration in force, once somebody activates this node: after a restart nobody may know that it is back.
+
+        Where that can't be, this node waits for `activate_model`, by which it is mended, and its diagnostics say why.
+        """
+        try:
+            path = calibration_in_force(cell, folder, serial)
+            if path is not None:
+                self._put_in_force(str(path))
+        except IrecError as error:
+            self.errors["calibrations"] = str(error)
+            self.get_logger().error(f"no model is in force: {error}")
+            return
+        if path is None:
+            self.get_logger().info(f"no calibration is in force yet in {folder}")
 
     def _on_activate_model(self, request: ActivateModel.Request, response: ActivateModel.Response) -> ActivateModel.Response:
         correction = self._chain()

@@ -15,11 +15,12 @@ from irec_calibration.errors import IrecError
 from irec_calibration.model import Model
 from irec_calibration.model.file import file_sha256, load_model
 from irec_calibration.model.plausibility import LARGEST_OFFSET, check_identity, check_plausible
+from irec_calibration.recertification.store import Store, calibration_folder
 from irec_calibration.robot import Payload, Robot
 from irec_calibration.typing import Array
 
 from ..deflection import Deflection
-from ..errors import ActivationError
+from ..errors import ActivationError, SettingsError
 
 SHARE_OF_PERIOD = 0.5
 EVALUATIONS = 30
@@ -86,6 +87,21 @@ def read_checked(path: str | Path, mounted: Mounted) -> CheckedModel:
         raise ActivationError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
     except Exception as error:  # a file can hold anything, and effects of users are evaluated
         raise ActivationError(f"{path}: not a model that can be used: {type(error).__name__}: {error}") from error
+
+
+def calibration_in_force(cell_file: str, folder: str, serial: str) -> Path | None:
+    """Model in force by the journal of the calibrations of a robot; None where none is in force yet.
+
+    Args:
+        folder: of the calibrations, relative to that of the cell file.
+
+    Raises:
+        IrecError: the journal, or a file of the calibration, is missing or was changed.
+    """
+    if not cell_file:
+        raise SettingsError("parameter 'calibrations' needs parameter 'cell': it is a folder beside the cell file")
+    found = Store(calibration_folder(cell_file, folder), serial).in_force()
+    return None if found is None else found[1]
 
 
 def _read_checked(path: Path, mounted: Mounted) -> CheckedModel:

@@ -36,7 +36,7 @@ from ..watchdog import Fault, Finding
 from . import parameters
 from .chain_clock import ChainClock
 from .managed import Managed, run_managed
-from .model_checks import Mounted, read_checked
+from .model_checks import Mounted, calibration_in_force, read_checked
 from .rsi_inputs import RsiInputs
 from .rsi_monitor import MONITOR_RATE, RsiMonitor
 
@@ -108,6 +108,19 @@ class RsiNode(Managed):
             why = self._put_in_force(str(p["model_path"]))
             if why:
                 raise SettingsError(why)
+        elif p["calibrations"]:
+            self._take_calibration(str(p["cell"]), str(p["calibrations"]))
+
+    def _take_calibration(self, cell: str, folder: str) -> None:
+        """As correction_node: the calibration in force is followed once somebody activates this node."""
+        try:
+            path = calibration_in_force(cell, folder, self._mounted.serial)
+            why = "" if path is None else self._put_in_force(str(path))
+        except IrecError as error:
+            why = str(error)
+        if why:
+            self.errors["calibrations"] = why
+            self.get_logger().error(f"no model is in force: {why}")
 
     def release(self) -> None:
         """Free the port and the blocks."""
@@ -227,6 +240,7 @@ class RsiNode(Managed):
         why = self._ask("model", checked.model)
         if not why:
             self._monitor.digest = checked.sha256
+            self.errors.pop("calibrations", None)
         return why
 
     def _put_in_force_and_start(self, path: str) -> str:
