@@ -35,6 +35,7 @@ class BenchPage:
         self.redrawn = Redrawn()
         self.following = settings.follow
         self._seen = -1
+        self._behind = False  # the recording has grown since growth of accuracy and diagnosis were computed
 
     def build(self) -> None:
         """Lay the page out and start what has to run."""
@@ -274,8 +275,10 @@ class BenchPage:
         try:
             if await room.grown():
                 self.say(f"The recording has grown: {len(room.current.rows)} samples.")
-                if not room.long.busy:
-                    self.run(self._follow_up())
+                self._behind = True
+            if self._behind and not room.long.busy:
+                self._behind = False
+                self.run(self._follow_up())
         except IrecError as error:
             self.say(str(error), bad=True)
 
