@@ -285,7 +285,7 @@ def test_ros_arguments_that_cannot_be_read_are_a_line_and_no_trace(ros_domain: i
 def test_nothing_is_measured_while_a_correction_is_at_work(operator: Operator, poses: Path) -> None:
     correction = operator.node.create_publisher(CorrectionState, "irec/correction/state", 10)
     operator.node.create_timer(0.1, lambda: correction.publish(CorrectionState(state=CorrectionState.ACTIVE)))
-    operator.until(lambda: correction.get_subscription_count() > 0)
+    operator.until(lambda: correction.get_subscription_count() > 0 and bool(np.isfinite(operator.p_tcp).all()))
     p_before = operator.p_tcp
     end = operator.end(operator.start(poses_path=str(poses)))
     assert end.status == ABORTED
