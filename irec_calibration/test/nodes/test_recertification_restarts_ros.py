@@ -234,7 +234,7 @@ def test_a_recalibration_goes_on_while_correction_and_recorder_are_killed_and_co
             told = person.correction
             return told.model_sha256 == entry.model_sha256 and told.state == CorrectionState.INACTIVE
 
-        person.until(follows_without_correcting, "the calibration in force, followed by a restarted node that nobody has activated")
+        person.until(follows_without_correcting, "that a restarted node follows the calibration in force and is inactive")
     finally:
         person.node.destroy_node()
         rclpy.shutdown()
