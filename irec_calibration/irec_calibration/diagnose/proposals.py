@@ -61,7 +61,8 @@ def proposals(
     written = list(dict.fromkeys(_formulas(study.ready, depends_on, sorted(turned))))
     if not written:
         return ()
-    found, _ = options(study, [FormulaEffect(f"formula_{i + 1}", text) for i, text in enumerate(written)], check)
+    formulas = {f"formula_{i + 1}": text for i, text in enumerate(written)}
+    found, _ = options(study, [FormulaEffect(name, text) for name, text in formulas.items()], check)
     ground = Ground(study.bench, study.base)
     trials: list[Trial] = []
     for option in found:
@@ -80,7 +81,7 @@ def proposals(
         except SolveError:
             continue
         if after.rms_m < before:
-            out.append(Proposal(written[int(trial.effect.id.removeprefix("formula_")) - 1], after.rms_m, after.rms_se_m, odds))
+            out.append(Proposal(formulas[trial.effect.id], after.rms_m, after.rms_se_m, odds))
     return tuple(out)
 
 

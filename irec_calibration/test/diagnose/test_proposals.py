@@ -59,6 +59,7 @@ def test_the_proposed_formula_can_be_added_as_it_stands(
     words = ["add", str(tmp_path / "m.yaml"), found.proposals[0].formula, str(tmp_path / "s"), "-o", str(tmp_path / "m2.yaml")]
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)
+    assert found.proposals[0].formula in (tmp_path / "m2.yaml").read_text()
 
 
 def test_the_command_that_adds_the_best_formula_is_among_the_next_steps(found: Diagnosis) -> None:
