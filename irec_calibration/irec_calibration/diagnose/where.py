@@ -21,16 +21,18 @@ from .settings import SETTINGS
 
 DRAWS = 4000
 BINS = 4
+SIGNS = {-1: "negative", 0: "vanishing", 1: "positive"}
 
 
 @dataclass(frozen=True)
 class _Side:
-    """One view: columns (m, 3, d) and the label of the bin of each row, (m,)."""
+    """One view: columns (m, 3, d), the bin of each row, (m,), and how a bin is said in a sentence."""
 
     name: str
     words: str
     columns: Array
     labels: list[str]
+    said: str = "{}"
 
 
 def views(observation: Observation, residual: Array, predicted: Array) -> tuple[View, ...]:
@@ -72,7 +74,7 @@ def _view(side: _Side, residual: Array, share: float, p: float) -> View:
     labels = np.array(side.labels)
     left = {str(x): rms(residual[labels == x]) for x in dict.fromkeys(side.labels)}
     worst = max(left, key=lambda k: left[k])
-    where = f", most at {worst} ({length(left[worst])})" if len(left) > 1 else ""
+    where = f", most with {side.said.format(worst)} ({length(left[worst])} there)" if len(left) > 1 else ""
     shows = p <= SETTINGS.where_p and share >= SETTINGS.where_share
     if not shows:
         sentence = f"No sign that the residual {side.words}."
@@ -112,49 +114,51 @@ def _sides(observation: Observation, predicted: Array) -> list[_Side]:
         _Side("along predicted", "lies along the predicted deflection", predicted[:, :, None], all_rows),
         _Side("along displacement", "is parallel to the measured displacement", (commanded + predicted)[:, :, None], all_rows),
         _Side("across displacement", "is a rotation of the measured displacement", _turned(commanded + predicted), all_rows),
-        _Side("load_case", "depends on the load case", _by_label(cases, tool), [f"load case {c}" for c in cases]),
+        _Side("load_case", "depends on the load case", _by_label(cases, tool), cases, "load case {}"),
     ]  # fmt: skip
 
-    def smooth(name: str, words: str, values: Array, frame: Array = eye) -> None:
+    def smooth(name: str, words: str, values: Array, said: str) -> None:
         if not np.isfinite(values).all() or np.ptp(values) <= 1e-9 * max(1.0, float(np.abs(values).max())):
             return
         v = (values - values.mean()) / values.std()
-        columns = np.concatenate([frame * v[:, None, None], frame * (v**2 - 1.0)[:, None, None]], axis=2)
-        out.append(_Side(name, words, columns, _bins(name, values)))
+        columns = np.concatenate([eye * v[:, None, None], eye * (v**2 - 1.0)[:, None, None]], axis=2)
+        out.append(_Side(name, words, columns, _bins(values), said))
 
     for k in range(scene.n_joints):
         t, axis = tau[:, k], J[:, :, k : k + 1]
         scale = max(float(np.abs(t).max()), 1e-9)
-        bins = _bins(f"tau_{k + 1}", t)
-        out.append(_Side(f"tau_{k + 1}", f"turns axis {k + 1} in proportion to its torque", axis * t[:, None, None], bins))
+        about, said, bins = f"is a rotation about axis {k + 1}", f"tau_{k + 1} of {{}} N m", _bins(t)
+        out.append(_Side(f"tau_{k + 1}", f"{about} in proportion to its torque", axis * t[:, None, None], bins, said))
         bent = axis * ((t / scale) ** 3)[:, None, None]
-        out.append(_Side(f"tau_{k + 1} cubed", f"turns axis {k + 1} nonlinearly in its torque", bent, bins))
-        side = np.sign(t + gravity[:, k]) - np.sign(gravity[:, k])
-        total = f"turns axis {k + 1} where its total torque (with gravity) changes sign"
-        out.append(
-            _Side(f"sign tau_{k + 1}", total, axis * side[:, None, None], [f"sign {s:+.0f}" for s in np.sign(t + gravity[:, k])])
-        )
-        step = f"turns axis {k + 1} in proportion to its step"
+        out.append(_Side(f"tau_{k + 1} cubed", f"{about} that is not in proportion to its torque", bent, bins, said))
+        total = np.sign(t + gravity[:, k])
+        side = axis * (total - np.sign(gravity[:, k]))[:, None, None]
+        words = f"{about} that jumps where its total torque (gravity included) changes sign"
+        signs = [SIGNS[int(x)] for x in total]
+        out.append(_Side(f"sign tau_{k + 1}", words, side, signs, "a {} total torque"))
+        step = f"{about} in proportion to its motion since the sample before"
         out.append(_Side(f"step_{k + 1}", step, axis * scene.step[rows, k, None, None], all_rows))
-        smooth(f"joint_{k + 1}", f"depends on the angle of joint {k + 1}", scene.q[rows, k])
-    smooth("reach", "depends on the reach", np.linalg.norm(scene.p_tcp[rows], axis=1))
+        angle = "{} m" if scene.kin.is_prismatic[k] else "{} rad"
+        smooth(f"joint_{k + 1}", f"depends on joint {k + 1}", scene.q[rows, k], f"joint_{k + 1} at {angle}")
+    smooth("reach", "depends on the reach", np.linalg.norm(scene.p_tcp[rows], axis=1), "a reach of {} m")
     for a, letter in enumerate("xyz"):
-        smooth(f"tcp_{letter}", f"depends on where on the surface the pose is (base {letter})", scene.p_tcp[rows, a])
+        smooth(f"tcp_{letter}", f"depends on the place of the pose (base {letter})", scene.p_tcp[rows, a], f"{letter} at {{}} m")
     for name, values in scene.ext.items():
-        smooth(f"ext_{name}", f"depends on the external axis {name}", values[rows])
+        smooth(f"ext_{name}", f"depends on the external axis {name}", values[rows], f"ext_{name} at {{}}")
     if scene.clock == "time":
-        smooth("stamp", "depends on the time in the session", scene.stamp[rows])
+        passed = scene.stamp[rows] - scene.stamp.min()
+        smooth("stamp", "depends on the time in the session", passed, "{} s after the first sample")
         since = scene.stamp[rows] - scene.stamp[scene.reference[rows]] if scene.kind == "loaded" else scene.stamp[rows] * 0.0
-        smooth("time since reference", "grows with the time since the reference", since)
+        smooth("time since reference", "grows with the time since the reference", since, "{} s since the reference")
     for name, values in scene.temperature.items():
-        smooth(f"temp_{name}", f"depends on the temperature {name}", values[rows])
+        smooth(f"temp_{name}", f"depends on the temperature {name}", values[rows], f"temp_{name} at {{}} degC")
     if len(scene.stations) > 1:
         at = [scene.stations[s] for s in scene.station[rows]]
-        out.append(_Side("station", "depends on the tracker station", _by_label(at, eye), [f"station {s}" for s in at]))
+        out.append(_Side("station", "depends on the tracker station", _by_label(at, eye), at, "station {}"))
     before = scene.load_case[np.maximum(scene.previous[rows], 0)]
     if scene.kind == "loaded" and len(np.unique(before)) > 2:
-        came = [f"after {session.case_name(int(j))}" for j in before]
-        out.append(_Side("order", "depends on the load case before", _by_label(came, tool), came))
+        came = [session.case_name(int(j)) for j in before]
+        out.append(_Side("order", "depends on the load case before", _by_label(came, tool), came, "{} before"))
     return out
 
 
@@ -167,7 +171,10 @@ def _by_label(labels: list[str], frame: Array) -> Array:
     return np.concatenate([frame * (array == x)[:, None, None] for x in dict.fromkeys(labels)], axis=2)
 
 
-def _bins(name: str, values: Array) -> list[str]:
+def _bins(values: Array) -> list[str]:
     edges = np.unique(np.quantile(values, np.linspace(0, 1, BINS + 1)))
     which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-    return [f"{name} {edges[i]:.3g} .. {edges[i + 1]:.3g}" for i in which]
+    span = float(np.ptp(values))
+    digits = int(np.clip(2 - np.floor(np.log10(span)), 0, 12)) if span > 0.0 else 3
+    ends = [f"{e + 0.0:.{digits}f}" for e in np.round(edges, digits)]
+    return [f"{ends[i]} to {ends[i + 1]}" for i in which]

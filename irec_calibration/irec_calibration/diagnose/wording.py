@@ -75,7 +75,7 @@ def verdict_of(
             parts.append(f"On this session {_label(one)} can't be told for sure from {', '.join(map(_label, others))}.")
     if planned and (assessment.one_of or any(rivals.values())):
         m = planned[0]
-        parts.append(f"Measuring load case {m.load_case} at {_at(m)} would part them by {length(m.difference_m)}.")
+        parts.append(f"Measuring load case {m.load_case} at {_at(m)} separates them by {length(m.difference_m)}.")
     if assessment.status == "missing_effect":
         parts += _apart(assessment, planned)
     if poses < FEW_POSES or study.fit.dof < study.fit.rank:
@@ -224,7 +224,7 @@ def _apart(assessment: Assessment, planned: Sequence[Measurement]) -> list[str]:
         return []
     repeats = int(np.ceil(0.5 * SIGMAS_TO_TELL**2 / max(m.gain, 1e-9)))
     if repeats > REPEATS_AT_MOST:
-        return ["No load case at these poses or near them would tell these axes apart."]
+        return ["No load case at these poses or near them separates these axes."]
     often = f", so take at least {repeats} repeats" if repeats > 1 else ""
     sample = f"Measuring load case {m.load_case} at {_at(m)}"
-    return [f"{sample} would tell these axes apart: they differ there by {length(m.difference_m)}{often}."]
+    return [f"{sample} separates these axes: they differ there by {length(m.difference_m)}{often}."]

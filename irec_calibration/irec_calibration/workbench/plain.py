@@ -40,7 +40,8 @@ class Version:
     Attributes:
         model: path of the model file.
         rows: indices of the observed rows in the session, (m,); measured, predicted, residual, held_out: (m, 3), m.
-        sigma: noise of the norm of a row as the data sheet states it, (m,), m.
+        sigma: noise of the norm of a row, (m,), m; noise_m: of a sample, m. As the session claims them until a diagnosis has
+            inferred the noise.
     """
 
     name: str

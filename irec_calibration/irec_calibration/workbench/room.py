@@ -157,11 +157,13 @@ class Room:
         key = fingerprint(self.session, model)
         known = self.shared.diagnoses.get(key)
         if known is None:
-            made = await self.long.call(Desk.diagnosis, self.session, model, progress=self._progress)
+            made: dict[str, Any] = await self.long.call(Desk.diagnosis, self.session, model, progress=self._progress)
             self.shared.remember(key, made)
             known = made
         self.diagnosis = known
         self.diagnosed = model
+        if known["noise_floor_m"]:
+            self.versions.learn_noise(float(known["noise_floor_m"]))
         self.doing = ""
         self._notify()
 

@@ -37,6 +37,7 @@ class Versions:
         self.index = -1
         self._back: list[int] = []
         self._forth: list[int] = []
+        self._inferred_m: float | None = None
 
     @property
     def current(self) -> Version:
@@ -52,7 +53,7 @@ class Versions:
 
     def keep(self, version: Version) -> None:
         """Make a version the one in use."""
-        self.all.append(version)
+        self.all.append(self._scaled(version))
         self._move(len(self.all) - 1)
 
     def go_to(self, index: int) -> None:
@@ -78,8 +79,19 @@ class Versions:
 
     def replace_all(self, versions: list[Version], index: int) -> None:
         """The same versions on a session that has grown, or those of earlier work."""
-        self.all, self.index = versions, index
+        self.all, self.index = [self._scaled(v) for v in versions], index
         self._write()
+
+    def learn_noise(self, inferred_m: float) -> None:
+        """Show the noise of a sample that the data bear out, m, instead of the one that the session claims."""
+        if inferred_m != self._inferred_m:
+            self._inferred_m = inferred_m
+            self.all = [self._scaled(v) for v in self.all]
+
+    def _scaled(self, version: Version) -> Version:
+        if self._inferred_m is None or version.noise_m <= 0.0 or version.noise_m == self._inferred_m:
+            return version
+        return replace(version, sigma=self._inferred_m / version.noise_m * version.sigma, noise_m=self._inferred_m)
 
     def _move(self, index: int) -> None:
         if self.index >= 0:

@@ -141,7 +141,8 @@ def claims(noise: dict[str, float]) -> str:
 def noise_lines(version: Version, claimed: dict[str, float], inferred: dict[str, object] | None) -> list[str]:
     """The noise as claimed and as the data show it."""
     said = claims(claimed) or "nothing"
-    out = [f"Claimed in the session: {said}; that is {length(version.noise_m)} per sample."]
+    per_sample = inferred.get("claimed_m") if inferred else None
+    out = [f"Claimed in the session: {said}; that is {length(float(per_sample or version.noise_m))} per sample."]  # type: ignore[arg-type]
     if math.isfinite(version.repeat_m):
         out.append(f"Repeats scatter by {length(version.repeat_m)}.")
     else:

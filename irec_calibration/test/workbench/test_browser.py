@@ -184,7 +184,7 @@ def test_a_person_takes_a_group_with_the_mouse_and_all_views_answer_for_it(perso
     for trace, points in (("samples", size), ("other samples", 70 - size)):
         person.page.wait_for_function(f"(a) => ({drawn})(a) === a[2]", arg=["cell-plot", trace, points], timeout=LONG)
     person.page.wait_for_function(
-        "document.querySelector('[data-testid=ladder]').layout.yaxis.title.text.startsWith('of the group')", timeout=LONG
+        "document.querySelector('[data-testid=ladder]')?.layout?.yaxis?.title?.text.startsWith('of the group')", timeout=LONG
     )
     person.part("tab-against").click()
     person.page.wait_for_function(f"(a) => ({drawn})(a) === a[2]", arg=["against-plot", "base x", size], timeout=LONG)
@@ -211,7 +211,7 @@ def test_a_recording_that_is_still_being_written_is_followed(browser, server, fo
     person.sees("subtitle", "11 poses")
     person.sees("verdict")
     person.part("tab-growth").click()
-    grown = "document.querySelector('[data-testid=growth]').data.some(t => t.x.length >= 7)"
+    grown = "document.querySelector('[data-testid=growth]')?.data?.some(t => t.x?.length >= 7)"
     person.page.wait_for_function(grown, timeout=LONG)
     person.keeps_picture("12-followed")
     person.page.close()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,15 @@ def test_a_version_kept_after_an_undo_ends_the_way_forth_but_loses_no_version(ve
 def test_a_version_that_is_not_there_is_refused(versions):
     with pytest.raises(IrecError, match="no version 9"):
         versions.go_to(8)
+
+
+def test_versions_show_the_noise_that_a_diagnosis_has_inferred_those_that_come_later_too(versions):
+    claimed = replace(version(versions.folder, "d"), sigma=np.array([2e-5, 4e-5]), noise_m=3e-5)
+    versions.keep(claimed)
+    versions.learn_noise(6e-5)
+    versions.keep(replace(claimed, name="e"))
+    for shown in versions.all[-2:]:
+        assert shown.noise_m == 6e-5 and np.allclose(shown.sigma, [4e-5, 8e-5])
 
 
 def test_earlier_work_is_found_again(versions, tmp_path):

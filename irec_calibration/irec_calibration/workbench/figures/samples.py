@@ -96,6 +96,7 @@ def norms(
                 "hoverinfo": "skip",
             }
         )
+    top = 1.08 * max(commanded.max(initial=0.0), measured.max(initial=0.0), 1e-6)
     pose = view.pose[version.rows]
     first = np.flatnonzero(np.diff(pose, prepend=pose[0] - 1)) if n else np.zeros(0, dtype=int)
     first = first[:: max(1, len(first) // 16)]
@@ -115,7 +116,7 @@ def norms(
             "anchor": "y",
         },
         "yaxis": {**axis, "domain": [0.0, 0.58], "title": {"text": "residual [um]"}, "rangemode": "tozero"},
-        "yaxis2": {**axis, "domain": [0.66, 1.0], "title": {"text": "[mm]"}, "rangemode": "tozero"},
+        "yaxis2": {**axis, "domain": [0.66, 1.0], "title": {"text": "[mm]"}, "range": [0.0, top]},
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "font": {"size": 10, "color": look.ink}},
         "margin": {"l": 55, "r": 10, "t": 30, "b": 36},
     }

@@ -10,6 +10,8 @@ from ...typing import BoolArray
 from ..plain import Codecs, CourseView, Tried, Version
 from .look import BLUE, CONFIG, ORANGE, VERMILLION, Figure, Look, layout_of, short, um
 
+LABEL_ROOM = 1.2  # top of the axis over the highest point, which carries its figure above it
+
 
 def ladder(
     versions: list[Version], current: int, tried: Tried | None, look: Look | None = None, group: BoolArray | None = None
@@ -65,6 +67,8 @@ def ladder(
     title = "held-out error [um]" if group is None else "of the group [um]"
     now = versions[current] if versions else None
     floor = 0.0 if now is None else 1e6 * (now.noise_m if group is None else float(np.sqrt(np.mean(now.sigma[group] ** 2))))
+    highest = [floor, *(v for d in data for v in d["y"] if v is not None)]
+    top = LABEL_ROOM * max(*highest, 1.0)
     layout = layout_of(look)
     layout |= {
         "xaxis": {
@@ -77,7 +81,7 @@ def ladder(
         },
         "yaxis": {
             "title": {"text": title},
-            "rangemode": "tozero",
+            "range": [0.0, top],
             "color": look.ink,
             "gridcolor": look.grid,
         },
