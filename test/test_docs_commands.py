@@ -20,6 +20,7 @@ ELSEWHERE = {
     "plan": "test_afp_planning_and_codec.py and irec_calibration/test/poses",
     "codec": "test_afp_planning_and_codec.py and irec_calibration/test/codec",
     "tool-load": "irec_calibration/test/sensors",
+    "latency": "irec_calibration/test/sensors",
     "workbench": "irec_calibration/test/workbench/test_browser.py",
     "init-cell": "test_own_cell.py",
     "show-cell": "test_own_cell.py",
@@ -37,12 +38,16 @@ def commands() -> list[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory):
-    """What the pages name: SESSION, RECORDING, model.yaml, model2.yaml, improved/model.yaml, table, my_effects.py, config."""
+    """What the pages name: SESSION, RECORDING, model.yaml, model2.yaml, improved/model.yaml, table, my_effects.py, config,
+    mine/mine.yaml."""
     place = tmp_path_factory.mktemp("docs")
     write_hidden(place / "SESSION")
     session = read_session(place / "SESSION")
     write_mcap(session, place / "RECORDING.mcap")
     shutil.copytree(ROOT / "config", place / "config")
+    shutil.copytree(ROOT / "config" / "robots", place / "robots")
+    shutil.copytree(ROOT / "config" / "cells", place / "mine")
+    (place / "mine" / "afp.yaml").rename(place / "mine" / "mine.yaml")
     blocks = (ROOT / OWN_EFFECT).read_text(encoding="utf-8").split("```python\n")[1:]
     (place / "my_effects.py").write_text(next(b for b in blocks if "cubic_hardening" in b).split("```")[0], encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:

@@ -82,7 +82,7 @@ def test_each_word_of_the_glossary_is_explained_once():
     assert len(words) == len(set(words)) > 50
 
 
-@pytest.mark.parametrize("document", ["architecture", "paper-to-code", "glossary", "adding-an-effect"])
+@pytest.mark.parametrize("document", ["architecture", "commissioning", "paper-to-code", "glossary", "adding-an-effect"])
 def test_links_of_a_document_lead_somewhere(document):
     path = ROOT / "docs" / f"{document}.md"
     for target in re.findall(r"\]\(([^)#]+)", path.read_text(encoding="utf-8")):

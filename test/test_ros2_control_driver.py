@@ -21,11 +21,13 @@ pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`
 import rclpy
 from geometry_msgs.msg import WrenchStamped
 from irec_calibration.cell import read_cell
+from irec_calibration.commands.tool_load import parameter_file
 from irec_calibration.effects import find_effect
 from irec_calibration.identification import identify
 from irec_calibration.model import Term
 from irec_calibration.poses.plan import make_plan, pose_list
 from irec_calibration.poses.store import write_poses
+from irec_calibration.sensors.tool_load import ToolLoad
 from irec_calibration.session import read_session
 from irec_ros.seen import SeenBy
 from irec_sim.cellfile import read_cell as read_simulated
@@ -91,15 +93,15 @@ class Operator:
 
 
 @pytest.fixture
-def operator(ros_domain: int, start_process: Start) -> Iterator[Operator]:
+def operator(ros_domain: int, start_process: Start, tmp_path: Path) -> Iterator[Operator]:
     chain = read_simulated(CELL).chain
     start_process(node("irec_sim.nodes.ros2_control_node", cell=CELL, speed_factor=SPEED, max_lead=0.03), name="hardware")
-    parameters = {
-        "cell": CELL, "use_sim_time": "true", "tool_load.mass": float(chain.tool_mass),
-        "tool_load.com": [float(v) for v in chain.tool_com], "tool_load.bias_force": list(BIAS[:3]),
-        "tool_load.bias_torque": list(BIAS[3:]),
-    }  # fmt: skip
-    start_process(node("irec_calibration.nodes.ros2_control_driver", **parameters), name="driver")
+    x, y, z = (float(v) for v in chain.tool_com)
+    load = ToolLoad(float(chain.tool_mass), (x, y, z), BIAS[:3], BIAS[3:])
+    weight = tmp_path / "tool_load.yaml"
+    weight.write_text(parameter_file(load, ("mass", "com", "bias_force", "bias_torque")), encoding="utf-8")
+    driver = node("irec_calibration.nodes.ros2_control_driver", "--params-file", str(weight), cell=CELL, use_sim_time="true")
+    start_process(driver, name="driver")
     rclpy.init()
     made = Operator()
     made.until(lambda: made.state is not None and made.joints and np.isfinite(made.force).all(), "driver")

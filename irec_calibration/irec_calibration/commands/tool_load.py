@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import yaml
 from ..errors import RecordingError, RobotError
 from ..recording import BagReader
 from ..robot import Robot, parent_joint
-from ..sensors.tool_load import Standing, ToolLoadFit, identify_tool_load, standing
+from ..sensors.tool_load import Standing, ToolLoad, ToolLoadFit, identify_tool_load, standing
 from ..typing import Array
 
 
@@ -30,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--alignment", action="store_true", help="also identify how the sensor is turned against that link")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
     parser.add_argument(
-        "-o", "--output", type=Path, help="write the parameters of correction_node and rsi_bridge to this YAML file"
+        "-o", "--output", type=Path, help="write parameters of correction_node, rsi_bridge, ros2_control_driver to this YAML file"
     )
 
 
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     R = _R_sensor(robot, args.frame, found)
     fit = identify_tool_load(found.readings, R, alignment=args.alignment)
     if args.output:
-        args.output.write_text(_parameters(fit), encoding="utf-8")
+        args.output.write_text(parameter_file(fit.load, fit.se), encoding="utf-8")
     print(json.dumps(_as_dict(fit), indent=2) if args.json else describe(fit))
     if args.output and not args.json:
         print(f"wrote {args.output}")
@@ -155,7 +156,9 @@ def _as_dict(fit: ToolLoadFit) -> dict[str, Any]:
     return {**load, "se": fit.se, **rest}
 
 
-def _parameters(fit: ToolLoadFit) -> str:
-    load = {k: list(v) if isinstance(v, tuple) else v for k, v in ((n, getattr(fit.load, n)) for n in fit.se)}
-    tree = {"/**": {"ros__parameters": {"raw_wrench": True, "tool_load": load}}}
+def parameter_file(load: ToolLoad, names: Iterable[str]) -> str:
+    """Text of a parameter file with these fields of a tool load, for whoever takes raw readings: the correction or a driver."""
+    values = {k: list(v) if isinstance(v, tuple) else v for k, v in ((n, getattr(load, n)) for n in names)}
+    raw = {"ros__parameters": {"raw_wrench": True}}  # a driver removes the weight from readings that are raw anyway
+    tree = {"/**": {"ros__parameters": {"tool_load": values}}, "/**/correction_node": raw, "/**/rsi_bridge": dict(raw)}
     return "# Identified by irec tool-load: kg, m, N, N m, rad\n" + yaml.safe_dump(tree, sort_keys=False)

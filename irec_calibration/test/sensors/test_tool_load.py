@@ -111,8 +111,11 @@ def test_command_reads_a_recording_and_writes_parameters(tmp_path):
 
     bag = write_bag(tmp_path / "turns.mcap", TRUE)
     assert main(["tool-load", str(bag), "-o", str(tmp_path / "tool_load.yaml")]) == 0
-    written = yaml.safe_load((tmp_path / "tool_load.yaml").read_text())["/**"]["ros__parameters"]
-    assert written["raw_wrench"] is True
+    tree = yaml.safe_load((tmp_path / "tool_load.yaml").read_text())
+    for node in ("correction_node", "rsi_bridge"):
+        assert tree[f"/**/{node}"]["ros__parameters"] == {"raw_wrench": True}
+    written = tree["/**"]["ros__parameters"]
+    assert list(written) == ["tool_load"], "what goes for every node is known to a driver too"
     assert written["tool_load"]["mass"] == pytest.approx(120.0, abs=0.5)
     np.testing.assert_allclose(written["tool_load"]["com"], TRUE.com, atol=2e-3)
 
