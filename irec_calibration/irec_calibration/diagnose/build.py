@@ -111,7 +111,7 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
                 least = one.log_evidence - 2.0 * settings.nats_to_separate
                 near[one.ids[-1]] = [t.ids[-1] for t in tried if t is not one and t.log_evidence > least]
                 break
-            if closest is None or one.log_evidence > closest.log_evidence:
+            if closest is None or one.named > closest.named:
                 closest, reason = one, why
         if taken is None:
             break
@@ -288,7 +288,8 @@ def implausible(one: Explanation, effect_id: str) -> str:
         value = term.estimates[p.name].value if p.name in term.estimates else low
         if not low - 1e-12 <= value <= high + 1e-12:
             limit = low if value < low else high
-            return f"{p.name} = {value:.3g} {p.unit} is beyond what is physically likely ({limit:.3g} {p.unit})"
+            unit = "" if p.unit == "1" else f" {p.unit}"
+            return f"{p.name} = {value:.3g}{unit} is beyond what is physically likely ({limit:.3g}{unit})"
     return ""
 
 

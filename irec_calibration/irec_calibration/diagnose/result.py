@@ -151,7 +151,8 @@ class Diagnosis:
     """Everything that `irec diagnose` found.
 
     Attributes:
-        fit_rms_m, cv_rms_m: of the model as it was asked about, in the fit and on held-out poses, by ESTIMATOR.
+        fit_rms_m, cv_rms_m, cv_rms_se_m: of the model as it was asked about, in the fit and on held-out poses with its standard
+            error, by ESTIMATOR.
         cv_rms_after_m, cv_rms_se_after_m: with every effect that was added, and its standard error.
         proposals: formulas for what has structure and no name, best first.
     """
@@ -173,6 +174,7 @@ class Diagnosis:
     noise: InferredNoise | None = None
     bad_rows: tuple[Json, ...] = ()
     proposals: tuple[Proposal, ...] = ()
+    cv_rms_se_m: float = math.nan
 
     def to_json(self) -> Json:
         """The content of `diagnosis.json`; no NaN."""
@@ -184,6 +186,7 @@ class Diagnosis:
                 "effects": list(self.model.effects),
                 "fit_rms_m": self.fit_rms_m,
                 "cv_rms_m": self.cv_rms_m,
+                "cv_rms_se_m": self.cv_rms_se_m,
                 "estimator": ESTIMATOR,
             },
             "noise_floor_m": self.comparison.noise_floor_m,

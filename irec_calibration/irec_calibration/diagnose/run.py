@@ -110,6 +110,7 @@ def examine(
         model=replace(model_of(first.study.fit, held_out=first.held_out), history=model.history if model else ()),
         fit_rms_m=first.study.fit.rms,
         cv_rms_m=first.held_out.rms_m,
+        cv_rms_se_m=first.held_out.rms_se_m,
         cv_rms_after_m=shown.after.held_out.rms_m,
         cv_rms_se_after_m=shown.after.held_out.rms_se_m,
         comparison=comparison,

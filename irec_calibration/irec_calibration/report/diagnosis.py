@@ -73,7 +73,8 @@ def write_diagnosis_report(
 def _hero(d: Diagnosis, session: Session, folder: Path) -> Figure:
     """The one figure that shows the verdict."""
     v, floor = d.verdict, d.comparison.noise_floor_m
-    rows = [("model as it is", d.cv_rms_m if np.isfinite(d.cv_rms_m) else d.fit_rms_m, float("nan"))]
+    held_out = np.isfinite(d.cv_rms_m)
+    rows = [("model as it is", d.cv_rms_m if held_out else d.fit_rms_m, d.cv_rms_se_m if held_out else float("nan"))]
     added = [label(c) for c in d.candidates if c.effect in v.effects]
     if v.status == "missing_effect" and added and np.isfinite(d.cv_rms_after_m):
         rows += [(f"with {' and '.join(added[:2])}{' ...' if len(added) > 2 else ''}", d.cv_rms_after_m, d.cv_rms_se_after_m)]
