@@ -29,9 +29,6 @@ from .settings import SETTINGS, Settings
 from .study import Study
 from .tool_weight import Readings
 
-DEPENDS_ON_AT_MOST = 4
-WITHIN_REACH = 3.0  # nats: structures this close to the first one name its variables too
-
 
 @dataclass(frozen=True)
 class Assessment:
@@ -222,13 +219,13 @@ def _depends_on(built: Built, final: Explanation, evidence: list[str], flexible:
         odds = gains - np.log([s.tried for s in built.family.structures])
         odds[[s.is_bad_row for s in built.family.structures]] = -np.inf
         for i in np.argsort(-odds)[:3]:
-            if odds[i] > odds.max() - WITHIN_REACH:
+            if odds[i] > odds.max() - SETTINGS.nats_to_depend:
                 add(built.family.structures[i].variables)
     for p in parts:
         add(p.structure.variables)
     if not parts:
         add(flexible.variables)
-    return tuple(out[:DEPENDS_ON_AT_MOST])
+    return tuple(out[: SETTINGS.most_depended_on])
 
 
 def p_value(trial: Trial, tried: int) -> float:

@@ -11,11 +11,7 @@ from ..identification.observe import Observation
 from ..typing import Array, IntArray
 from .settings import SETTINGS, Settings
 
-FOLDS = 6
-FEWEST_POSES = 12
-MOST_ROWS = 900  # rows used; more make a regression slow, not better
 RIDGES = (0.03, 0.3, 3.0)  # noise over signal, in variance
-LENGTH = 1.5  # of the kernel, in standard deviations of a variable, times the square root of their number
 
 
 @dataclass(frozen=True)
@@ -40,10 +36,10 @@ def flexible_gain(observation: Observation, residual: Array, settings: Settings 
         residual: (m, 3), m, in base_link. Base and tool frame are tried; the better one counts.
     """
     poses = observation.poses
-    if len(poses) < FEWEST_POSES:
+    if len(poses) < settings.flexible.fewest_poses:
         return Flexible(float("nan"))
-    if len(residual) > MOST_ROWS:
-        count = max(MOST_ROWS * len(poses) // len(residual), FEWEST_POSES)
+    if len(residual) > settings.flexible.most_rows:
+        count = max(settings.flexible.most_rows * len(poses) // len(residual), settings.flexible.fewest_poses)
         keep = np.isin(observation.pose, poses[np.unique(np.linspace(0, len(poses) - 1, count).astype(int))])
     else:
         keep = np.ones(len(residual), dtype=bool)
@@ -75,13 +71,13 @@ def flexible_gain(observation: Observation, residual: Array, settings: Settings 
 
 def _saved(X: Array, target: Array, pose: IntArray, ridge: float) -> tuple[float, float]:
     """Mean squared error that a kernel ridge regression saves on held-out poses, and its t value over poses."""
-    d2 = ((X[:, None, :] - X[None, :, :]) ** 2).sum(axis=2) / (2.0 * LENGTH**2 * X.shape[1])
+    d2 = ((X[:, None, :] - X[None, :, :]) ** 2).sum(axis=2) / (2.0 * SETTINGS.flexible.length**2 * X.shape[1])
     K = np.exp(-d2)
     which = np.unique(pose)
-    fold = np.random.default_rng(0).permutation(len(which)) % FOLDS
+    fold = np.random.default_rng(0).permutation(len(which)) % SETTINGS.flexible.folds
     fold_of_row = fold[np.searchsorted(which, pose)]
     saved = np.empty(len(target))
-    for f in range(FOLDS):
+    for f in range(SETTINGS.flexible.folds):
         test = fold_of_row == f
         train = ~test
         A = K[np.ix_(train, train)] + ridge * np.eye(int(train.sum()))

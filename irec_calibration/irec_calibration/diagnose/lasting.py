@@ -14,17 +14,10 @@ from ..identification.observe import beyond_controller
 from ..model import Term, total_displacement
 from ..typing import Array, IntArray
 from .evidence import Bench, Block, NoisePrior
+from .settings import SETTINGS
 from .study import Study
 
-FEWEST = 3  # poses before and after a step
-# Standard deviations of what an absolute reading has beyond the controller's position: robots after geometric calibration.
-PLACE = 1e-3  # m; of the station, and of the marker on the tool
-ANGLE = 1e-3  # rad; of the station, joint zeros, and tilts of axes
-PERIODIC = 3e-4  # rad; of joint angles, with the angle
-SOFT = 3e-7  # rad/(N m); of axes under gravity
-COURSE = 1e-4  # m; drift over the session
-LEVEL = 2e-5  # m; about the scatter of a pose's mean; its own size follows from the readings
-LITTLE = 1.0  # equation; what is believed of that level counts no more
+LASTING = SETTINGS.lasting
 
 
 def lasts(study: Study, shift: Term) -> float:
@@ -49,7 +42,7 @@ def lasts(study: Study, shift: Term) -> float:
     here = int(rows[np.flatnonzero(broken)[0]])
     used = ~broken & (session.station[rows] == session.station[here]) & np.isfinite(mean).all(axis=1)
     after = (begin > moment)[used]
-    if min(after.sum(), (~after).sum()) < FEWEST:
+    if min(after.sum(), (~after).sum()) < LASTING.fewest:
         return 0.0
     rows, mean = rows[used], mean[used]
     R = scene.kin.R_tool
@@ -76,7 +69,7 @@ def _blocks(pose: IntArray, repeat: IntArray, stamp: Array, seen: Array) -> tupl
 
 def _smooth(study: Study, rows: IntArray) -> Array:
     """What absolute readings have beyond the controller's positions, in standard deviations of each cause, (rows, 3, p), m."""
-    scene = study.observation.scene
+    usual, scene = LASTING, study.observation.scene
     p, q, J = scene.p_observed[rows], scene.q[rows], scene.J[rows]
     turn = np.cross(np.eye(3)[None], p[:, None]).swapaxes(1, 2)
     course = (scene.stamp[rows] - scene.stamp[rows].mean()) / max(float(np.ptp(scene.stamp[rows])), 1e-9)
@@ -85,15 +78,16 @@ def _smooth(study: Study, rows: IntArray) -> Array:
     return np.concatenate(
         [
             *rides,
-            PLACE * np.tile(np.eye(3), (len(rows), 1, 1)), ANGLE * turn, PLACE * scene.kin.R_tool[rows], ANGLE * J,
-            ANGLE * scene.V[rows], PERIODIC * J * np.sin(q)[:, None], PERIODIC * J * np.cos(q)[:, None],
-            COURSE * course[:, None, None] * np.eye(3), SOFT * J * scene.tau_gravity[rows][:, None, :],
+            usual.place_m * np.tile(np.eye(3), (len(rows), 1, 1)), usual.angle_rad * turn, usual.place_m * scene.kin.R_tool[rows],
+            usual.angle_rad * J, usual.angle_rad * scene.V[rows],
+            usual.periodic_rad * J * np.sin(q)[:, None], usual.periodic_rad * J * np.cos(q)[:, None],
+            usual.course_m * course[:, None, None] * np.eye(3), usual.soft * J * scene.tau_gravity[rows][:, None, :],
         ], axis=2,
     )  # fmt: skip
 
 
 def _log_evidence(values: Array, columns: Array) -> float:
-    A = columns.reshape(-1, columns.shape[2]) / LEVEL
+    A = columns.reshape(-1, columns.shape[2]) / LASTING.level_m
     free = np.full(A.shape[1], np.inf)
-    bench = Bench(values.ravel() / LEVEL, np.repeat(np.arange(len(values)), 3), NoisePrior(dof=LITTLE))
+    bench = Bench(values.ravel() / LASTING.level_m, np.repeat(np.arange(len(values)), 3), NoisePrior(dof=LASTING.level_dof))
     return bench.posterior(Block(A, -free, free, np.ones(A.shape[1]))).log_evidence

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc
 
-from ..identification.absolute import FEWEST_PAIRS, near_pairs
+from ..identification.absolute import near_pairs
 from ..identification.noise import InferredNoise, level_of, pure_error
 from ..identification.observe import Observation
 from ..model import Term
@@ -106,7 +106,7 @@ def repeats_of(study: Study, ground: Ground) -> Repeats:
     chi2, dof = pure_error(white, keys.ravel())
     if study.ready.kind == "absolute" and dof < SETTINGS.fewest_repeats:
         pairs = near_pairs(study.observation, study.observation.whiten.undo(white))
-        if len(pairs.first) >= FEWEST_PAIRS:
+        if len(pairs.first) >= SETTINGS.absolute.fewest_pairs:
             scatter = ((white[pairs.first] - white[pairs.second]) ** 2).sum() / 2.0
             # pairs that share rows are not independent: no more degrees of freedom than rows
             seen = len(np.unique(np.concatenate([pairs.first, pairs.second])))

@@ -15,10 +15,7 @@ from ..model import Term, total_displacement
 from ..session.data import Session
 from ..typing import BoolArray
 from .result import Measurement
-
-NEW_POSES_PER_POSE = 2
-SPREAD = 0.35  # rad; how far new poses lie from measured ones
-AT_MOST = 5
+from .settings import SETTINGS
 
 
 def next_measurements(session: Session, a: Sequence[Term], b: Sequence[Term], names: tuple[str, str]) -> tuple[Measurement, ...]:
@@ -30,7 +27,7 @@ def next_measurements(session: Session, a: Sequence[Term], b: Sequence[Term], na
     """
     pool: list[tuple[Session, bool]] = [(session, False)]
     rng = np.random.default_rng(0)
-    pool += [(_moved(session, rng), True) for _ in range(NEW_POSES_PER_POSE)]
+    pool += [(_moved(session, rng), True) for _ in range(SETTINGS.proposed.new_poses)]
     found: list[Measurement] = []
     for rows_of, new in pool:
         scene = scene_of(rows_of)
@@ -38,7 +35,7 @@ def next_measurements(session: Session, a: Sequence[Term], b: Sequence[Term], na
         size = np.linalg.norm(difference, axis=1)
         sigma = np.sqrt(3.0) * position_sigma(rows_of) * (np.sqrt(2.0) if session.kind == "loaded" else 1.0)
         seen = _usable(scene, session) & np.isfinite(size)
-        for i in np.flatnonzero(seen)[np.argsort(-(size / sigma)[seen])][:AT_MOST]:
+        for i in np.flatnonzero(seen)[np.argsort(-(size / sigma)[seen])][: SETTINGS.proposed.at_most]:
             found.append(
                 Measurement(
                     pose=0 if new else int(session.pose[i]),
@@ -49,7 +46,7 @@ def next_measurements(session: Session, a: Sequence[Term], b: Sequence[Term], na
                     q=tuple(rows_of.q[i].tolist()) if new else (),
                 )
             )
-    return tuple(sorted(found, key=lambda m: -m.gain)[:AT_MOST])
+    return tuple(sorted(found, key=lambda m: -m.gain)[: SETTINGS.proposed.at_most])
 
 
 def _usable(scene: Scene, session: Session) -> BoolArray:
@@ -59,12 +56,12 @@ def _usable(scene: Scene, session: Session) -> BoolArray:
 def _moved(session: Session, rng: np.random.Generator) -> Session:
     """The same procedure at poses nearby, within the joint limits."""
     robot = session.robot
-    lower = np.maximum(robot.lower, session.q.min(axis=0) - SPREAD)
-    upper = np.minimum(robot.upper, session.q.max(axis=0) + SPREAD)
+    lower = np.maximum(robot.lower, session.q.min(axis=0) - SETTINGS.proposed.spread_rad)
+    upper = np.minimum(robot.upper, session.q.max(axis=0) + SETTINGS.proposed.spread_rad)
     q = session.q.copy()
     for pose in session.poses:
         rows = session.pose == pose
-        q[rows] = np.clip(q[rows] + rng.normal(0.0, SPREAD, robot.n_joints), lower, upper)
+        q[rows] = np.clip(q[rows] + rng.normal(0.0, SETTINGS.proposed.spread_rad, robot.n_joints), lower, upper)
     kin = robot.kinematics(q)
     moved = replace(session, q=q, p_tcp_in_base=kin.p_tcp)
     believed = marker_by_controller(moved, kin)

@@ -11,9 +11,7 @@ import numpy as np
 from ..typing import Array
 from .evidence import Bench, Block, Ground, Products
 from .family import Family, Structure
-
-NATS_FOR_STRUCTURE = 3.0  # log evidence that a structure needs after the number that were tried is taken off
-MOST_STRUCTURES = 8
+from .settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ def grow(
     family: Family,
     base: Block,
     start: Sequence[Part] = (),
-    most: int = MOST_STRUCTURES,
+    most: int = SETTINGS.most_structures,
     beside_axis: int | None = None,
     without: Callable[[Structure], bool] | None = None,
 ) -> Remainder:
@@ -102,7 +100,7 @@ def grow(
         score = gain - tried
         score[list(taken)] = -np.inf
         i = int(np.argmax(score))
-        if score[i] < NATS_FOR_STRUCTURE:
+        if score[i] < SETTINGS.nats_to_take_in:
             break
         take(i, float(score[i]), float(amplitude[i]))
     return Remainder(tuple(parts), log_evidence, block, slice(base.A.shape[1], None))

@@ -3,130 +3,192 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 
+from ..declared import Thresholds, threshold
+from ..identification.settings import ABSOLUTE, IDENTIFIABILITY, AbsoluteThresholds, IdentifiabilityThresholds
 from ..identification.validation import FEWEST_POSES
-from ..typing import Json
-
-
-def _setting(value: float, unit: str, meaning: str, derived: str) -> float:
-    return field(default=value, metadata={"unit": unit, "meaning": meaning, "derived": derived})  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
-class Settings:
+class ReadingsThresholds(Thresholds):
+    """What readings at the references, where nothing touches the tool, are held against."""
+
+    mass_kg: float = threshold(
+        5.0, "kg", "standard deviation of a wrong tool mass before it is looked at", "chosen: a gripper or a spindle more or less"
+    )
+    bias_n: float = threshold(20.0, "N", "standard deviation of a bias of the sensor", "chosen: drift since it was zeroed")
+    fewest: int = threshold(3, "references", "with fewer a bias is not told from a mass", "three components of a bias")
+
+
+@dataclass(frozen=True)
+class LastingThresholds(Thresholds):
+    """What absolute readings have beyond the controller's positions, where it is asked whether a step lasts: standard deviations.
+
+    Derived from what robots after geometric calibration leave.
+    """
+
+    place_m: float = threshold(1e-3, "m", "place of the station, and of the marker on the tool", "prior")
+    angle_rad: float = threshold(1e-3, "rad", "of the station, joint zeros, and tilts of axes", "prior")
+    periodic_rad: float = threshold(3e-4, "rad", "of joint angles, with the angle", "prior")
+    soft: float = threshold(3e-7, "rad/(N m)", "of axes under gravity", "prior")
+    course_m: float = threshold(1e-4, "m", "drift over the session", "prior")
+    level_m: float = threshold(2e-5, "m", "scatter of a pose's mean", "start; its own size follows from the readings")
+    level_dof: float = threshold(1.0, "equations", "how much that start counts", "as little as one equation")
+    fewest: int = threshold(3, "poses", "before and after a step; with fewer it is not asked", "with two, one bad pose decides")
+
+
+@dataclass(frozen=True)
+class FlexibleThresholds(Thresholds):
+    """The flexible regression that says how much any smooth cause could still remove."""
+
+    fewest_poses: int = threshold(12, "poses", "with fewer it is not tried", "two in each fold")
+    folds: int = threshold(6, "folds", "of poses", "five sixths train, one sixth judges")
+    most_rows: int = threshold(900, "rows", "used at most", "run time; more make it no better")
+    length: float = threshold(
+        1.5, "standard deviations of a variable", "length of the kernel, times the square root of their number", "chosen: smooth",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ProposalThresholds(Thresholds):
+    """Measurements that are proposed."""
+
+    sigmas_to_tell: float = threshold(
+        3.0, "standard deviations", "by which a sample must differ to tell two explanations apart", "odds of 90 on one sample",
+    )  # fmt: skip
+    most_repeats: int = threshold(20, "repeats", "of one sample at most, else it is not proposed", "nobody would take more")
+    poses_to_tell: int = threshold(4, "poses", "that are proposed to be measured twice to learn the noise",
+                                   "with three load cases 36 degrees of freedom: a level within 12 %")  # fmt: skip
+    new_poses: int = threshold(2, "per measured pose", "new poses that are tried", "run time")
+    spread_rad: float = threshold(
+        0.35, "rad", "how far new poses lie from measured ones", "20 degrees: near, so reached"
+    )
+    at_most: int = threshold(5, "measurements", "proposed", "what fits on a page")
+
+
+@dataclass(frozen=True)
+class Settings(Thresholds):
     """Thresholds of a diagnosis; `nats` are natural logarithms of odds."""
 
-    noise_dof: float = _setting(
+    noise_dof: float = threshold(
         4.0, "equations", "how much the stated noise level counts",
         "the level is known within a factor of two at two standard deviations: 1 / sqrt(2 dof) = 0.35",
     )  # fmt: skip
-    nats_to_name: float = _setting(
+    nats_to_name: float = threshold(
         6.5, "nats", "evidence that a name needs over every model without it, unnamed structures included",
         "odds of 600, so that 25 effects give a wrong name in less than 5 % of clean sessions",
     )  # fmt: skip
-    nats_in_one_pose: float = _setting(
+    nats_in_one_pose: float = threshold(
         20.0, "nats", "evidence that a name needs which shows in the differences of one pose of a loaded session only",
         "a bad pose is far more common than a bumped station; the absolute readings of later poses count with it",
     )  # fmt: skip
-    nats_to_separate: float = _setting(
+    nats_to_separate: float = threshold(
         5.0, "nats", "explanations closer than this are not told apart", "odds of 150",
     )  # fmt: skip
-    nats_to_prefer: float = _setting(
+    nats_to_prefer: float = threshold(
         2.3, "nats", "a name needs over every other effect in its place", "odds of 10; closer ones are given as one of several",
     )  # fmt: skip
-    nats_to_refit: float = _setting(
+    nats_to_refit: float = threshold(
         15.0, "nats", "effects this much worse than the best are not fitted exactly", "three times what is told apart",
     )  # fmt: skip
-    share_to_name: float = _setting(
+    share_to_name: float = threshold(
         0.02, "share of squares", "of everything explained that a name must bring by itself",
         "an effect whose form is not quite right leaves 1 % of its square to be explained by another",
     )  # fmt: skip
-    nats_per_bad_row: float = _setting(
+    nats_per_bad_row: float = threshold(
         1.0, "nats", "more evidence that a name needs for each row, reference or pose that stands out",
         "where rows stand out, tails are heavy, and evidence that counts on normal noise is too large",
     )  # fmt: skip
-    share_of_form: float = _setting(
+    share_of_form: float = threshold(
         0.03, "share of evidence", "of the unnamed structures that a name replaces, that it must bring more than they do",
         "polynomials of the generic family lose that much where they stand for a cause of another form",
     )  # fmt: skip
-    nats_for_structure: float = _setting(
+    nats_for_structure: float = threshold(
         6.5, "nats", "evidence of the strongest unnamed structure, the number tried taken off, that makes a session unexplained",
         "odds of 600: four kinds of structures are tried, so that noise passes for one in less than 1 % of clean sessions",
     )  # fmt: skip
-    nats_for_wander: float = _setting(
+    nats_for_wander: float = threshold(
         5.0, "nats", "likelihood that noise correlated in time must gain over independent noise",
         "two parameters are fitted: by chance twice the gain is chi squared of two, above 10 in less than 1 % of sessions",
     )  # fmt: skip
-    held_out_sigmas: float = _setting(
+    held_out_sigmas: float = threshold(
         1.5, "standard errors over poses", "by which the held-out loss must fall with a name",
         "one-sided 7 %, beside the evidence",
     )  # fmt: skip
-    most_names: int = field(
-        default=8,
-        metadata={"unit": "effects", "meaning": "names at most", "derived": "measured robots show five to ten causes"},
-    )
-    most_structures: int = field(
-        default=8,
-        metadata={"unit": "structures", "meaning": "parts of an unnamed remainder at most", "derived": "run time"},
-    )
-    refits: int = field(
-        default=3,
-        metadata={"unit": "effects", "meaning": "candidates fitted exactly at each step", "derived": "run time"},
-    )
-    repeats_p: float = _setting(
+    most_names: int = threshold(
+        8, "effects", "names at most", "measured robots show five to ten causes",
+    )  # fmt: skip
+    most_structures: int = threshold(
+        8, "structures", "parts of an unnamed remainder at most", "run time",
+    )  # fmt: skip
+    refits: int = threshold(
+        3, "effects", "candidates fitted exactly at each step", "run time",
+    )  # fmt: skip
+    repeats_p: float = threshold(
         1e-4, "probability", "below which repeats say that the model does not fit", "one false alarm in 10 000 sessions",
     )  # fmt: skip
-    flexible_sigmas: float = _setting(
+    flexible_sigmas: float = threshold(
         4.0, "standard errors over poses", "by which a flexible regression must gain on held-out poses",
         "heavy tails allowed for",
     )  # fmt: skip
-    fewest_poses: int = field(
-        default=FEWEST_POSES,
-        metadata={"unit": "poses", "meaning": "with fewer nothing is named", "derived": "nothing can be tested on other poses"},
-    )
+    fewest_poses: int = threshold(
+        FEWEST_POSES, "poses", "with fewer nothing is named", "nothing can be tested on other poses",
+    )  # fmt: skip
 
-    nats_to_prove_part: float = _setting(
+    nats_to_prove_part: float = threshold(
         6.5, "nats", "evidence of its own that an axis or direction needs to be named", "odds of 600, as the name of an effect",
     )  # fmt: skip
-    nats_within_reach: float = _setting(
+    nats_within_reach: float = threshold(
         5.0, "nats", "sets of parts that explain the session this much worse than the best are not told from it", "odds of 150",
     )  # fmt: skip
-    share_to_prove_part: float = _setting(
+    share_to_prove_part: float = threshold(
         0.02, "share of squares", "of what the effect explains that a part must bring to be named",
         "a smaller part may make up for an effect's form that is not quite right",
     )  # fmt: skip
-    weigh_again_below: float = _setting(
+    weigh_again_below: float = threshold(
         0.7, "of the noise assumed", "noise that is left below which everything is weighed again",
         "evidence goes with the square: twice as much at 0.7",
     )  # fmt: skip
-    fewest_repeats: int = field(
-        default=6,
-        metadata={"unit": "degrees of freedom", "meaning": "with fewer, repeats say nothing by themselves",
-                  "derived": "a level from 6 is known within 30 %"},
+    fewest_repeats: int = threshold(
+        6, "degrees of freedom", "with fewer, repeats say nothing by themselves", "a level from 6 is known within 30 %",
     )  # fmt: skip
-    stated_p: float = _setting(
+    stated_p: float = threshold(
         1e-3, "probability", "below which repeats are said to disagree with the noise that is stated",
         "one false remark in 1000 sessions",
     )  # fmt: skip
-    quieter_than_stated: float = _setting(
+    quieter_than_stated: float = threshold(
         0.5, "of the stated variance", "below which the residual is said to be smaller than the stated noise allows",
         "a standard deviation 30 % smaller",
     )  # fmt: skip
-    where_p: float = _setting(
+    where_p: float = threshold(
         0.05, "probability", "corrected for all places, below which a place where the residual is, is told", "one in 20 sessions",
     )  # fmt: skip
-    where_share: float = _setting(
+    where_share: float = threshold(
         0.01, "share of squares", "of the residual that such a place must hold", "less helps nobody to find a cause",
     )  # fmt: skip
-    where_poses: int = field(
-        default=5,
-        metadata={"unit": "poses", "meaning": "with fewer no place is told", "derived": "5 poses have 32 sets of signs"},
-    )
+    where_poses: int = threshold(
+        5, "poses", "with fewer no place is told", "5 poses have 32 sets of signs",
+    )  # fmt: skip
 
-    def to_json(self) -> Json:
-        """Name -> value, unit, meaning, derivation."""
-        return {f.name: {"value": getattr(self, f.name), **f.metadata} for f in fields(self)}
+    nats_to_take_in: float = threshold(
+        3.0, "nats", "that a structure needs, the number tried taken off, to be taken into an unnamed remainder",
+        "odds of 20: a remainder is no claim, and names must hold against it",
+    )  # fmt: skip
+    nats_to_depend: float = threshold(
+        3.0, "nats", "structures this close to the strongest one name what a residual depends on too", "odds of 20",
+    )  # fmt: skip
+    most_depended_on: int = threshold(4, "variables", "that a residual is said to depend on", "more help nobody to find a cause")
+    where_typical: float = threshold(
+        3.0, "times the typical residual", "of a pose or load case that is said to stand out", "three standard deviations",
+    )  # fmt: skip
+
+    readings: ReadingsThresholds = ReadingsThresholds()
+    lasting: LastingThresholds = LastingThresholds()
+    flexible: FlexibleThresholds = FlexibleThresholds()
+    proposed: ProposalThresholds = ProposalThresholds()
+    absolute: AbsoluteThresholds = ABSOLUTE
+    identifiability: IdentifiabilityThresholds = IDENTIFIABILITY
 
 
 SETTINGS = Settings()

@@ -16,11 +16,9 @@ from ..effects.scene import Scene
 from ..identification.validation import rms
 from ..typing import Array
 from .evidence import Bench, Block, Posterior
+from .settings import SETTINGS
 
 READ_AT_REFERENCES = next(e() for e in CATALOGUE if e.evidence is Evidence.REFERENCE_READINGS)
-MASS_WIDTH = 5.0  # kg
-BIAS_WIDTH = 20.0  # N
-FEWEST_REFERENCES = 3
 FACTORS = np.array([0.1, 1.0, 10.0])
 
 
@@ -46,24 +44,24 @@ class Readings:
 def reference_readings(scene: Scene, force_noise: float) -> Readings | None:
     """Test the readings at the references of a loaded session; None where there are too few of them."""
     rows = np.unique(scene.reference[scene.reference >= 0])
-    if len(rows) < FEWEST_REFERENCES or force_noise <= 0.0:
+    if len(rows) < SETTINGS.readings.fewest or force_noise <= 0.0:
         return None
     force = scene.force_in_tool[rows]
     weight = np.einsum("nji,j->ni", scene.kin.R_tool[rows], scene.gravity_in_base)
     bench = Bench((force / force_noise).ravel(), np.repeat(scene.pose[rows], 3))
-    mass = _block(weight.ravel()[:, None], force_noise, MASS_WIDTH)
-    bias = _block(np.tile(np.eye(3), (len(rows), 1)), force_noise, BIAS_WIDTH)
+    mass = _block(weight.ravel()[:, None], force_noise, SETTINGS.readings.mass_kg)
+    bias = _block(np.tile(np.eye(3), (len(rows), 1)), force_noise, SETTINGS.readings.bias_n)
     nothing = _nothing(bench)
     by_mass = bench.posterior(mass, FACTORS, slice(0, 1))
     by_bias = bench.posterior(bias, FACTORS, slice(0, 3))
     by_both = bench.posterior(bias + mass, FACTORS, slice(0, 4))
     with_mass = max((by_mass, by_both), key=lambda p: p.log_evidence)
-    dm = float(with_mass.x[-1] * MASS_WIDTH)
+    dm = float(with_mass.x[-1] * SETTINGS.readings.mass_kg)
     spread = max(with_mass.chi2 / len(bench.b), 1.0)
     se = float(np.sqrt(spread) * force_noise / np.linalg.norm(weight))
     left = rms(force)
     after = float(np.sqrt(with_mass.chi2 / len(rows)) * force_noise)
-    b = by_bias.x * BIAS_WIDTH
+    b = by_bias.x * SETTINGS.readings.bias_n
     return Readings(
         dm, se, with_mass.log_evidence - max(by_bias.log_evidence, nothing), left, after,
         (float(b[0]), float(b[1]), float(b[2])), by_bias.log_evidence - nothing,

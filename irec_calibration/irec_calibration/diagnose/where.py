@@ -90,10 +90,9 @@ def _worst_pose(observation: Observation, residual: Array) -> View:
     share = sums[worst] / max(sum(sums.values()), 1e-300)
     left = rms(residual[observation.pose == worst])
     typical = float(np.sqrt(np.median([s / (observation.pose == p).sum() for p, s in sums.items()])))
-    stands_out = len(sums) >= SETTINGS.where_poses and left > 3.0 * max(typical, observation.whiten.floor)
+    stands_out = len(sums) >= SETTINGS.where_poses and left > SETTINGS.where_typical * max(typical, observation.whiten.floor)
     sentence = (
-        f"Pose {worst} has {100 * share:.0f} % of the squared residual "
-        f"({length(left)}, the typical pose {length(typical)})."
+        f"Pose {worst} has {100 * share:.0f} % of the squared residual ({length(left)}, the typical pose {length(typical)})."
     )
     return View("pose", str(worst), left, share, 0.0 if stands_out else 1.0, sentence, stands_out)
 

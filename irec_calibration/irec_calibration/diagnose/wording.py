@@ -14,15 +14,13 @@ from .assessment import Assessment
 from .build import implausible
 from .parts import Parts
 from .result import Candidate, Comparison, Measurement, Verdict
+from .settings import SETTINGS
 from .shown import Shown
 from .tool_weight import READ_AT_REFERENCES
 
 FEW_POSES = 5
 SETS_SHOWN = 3  # sets of axes in a sentence
-REPEATS_AT_MOST = 20  # that anybody would take of one sample
-SIGMAS_TO_TELL = 3.0  # standard deviations by which samples must differ to tell two explanations apart
 ROWS_SHOWN = 4
-REPEATS_TO_TELL = 4  # poses that are measured twice to learn the noise
 
 SHOWN_BY = {
     "repeats": "repeats of the same sample agree better than that",
@@ -158,8 +156,8 @@ def _could_hide(assessment: Assessment) -> list[str]:
     out = [f"A cause without structure of up to {length(assessment.hidden_m)} could hide in it."]
     if "repeats" not in assessment.noise.source:
         out.append(
-            f"A few repeats would tell: {REPEATS_TO_TELL} poses that are far from each other, all load cases measured twice, each"
-            " with its own reference."
+            f"A few repeats would tell: {SETTINGS.proposed.poses_to_tell} poses that are far from each other, all load cases"
+            " measured twice, each with its own reference."
         )
     return out
 
@@ -222,8 +220,8 @@ def _apart(assessment: Assessment, planned: Sequence[Measurement]) -> list[str]:
     m = next((m for m in planned if assessment.other is not None and m.separates == assessment.other[1]), None)
     if m is None:
         return []
-    repeats = int(np.ceil(0.5 * SIGMAS_TO_TELL**2 / max(m.gain, 1e-9)))
-    if repeats > REPEATS_AT_MOST:
+    repeats = int(np.ceil(0.5 * SETTINGS.proposed.sigmas_to_tell**2 / max(m.gain, 1e-9)))
+    if repeats > SETTINGS.proposed.most_repeats:
         return ["No load case at these poses or near them separates these axes."]
     often = f", so take at least {repeats} repeats" if repeats > 1 else ""
     sample = f"Measuring load case {m.load_case} at {_at(m)}"

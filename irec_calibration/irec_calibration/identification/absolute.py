@@ -20,18 +20,7 @@ from ..model import GEOMETRIC, Estimate, Term, regressors, total_displacement
 from ..session.data import Session
 from ..typing import Array, IntArray
 from .observe import Observation
-
-DETERMINED = 2.0  # parameter scales (2 mm, 2 mrad): a geometric parameter with a larger standard error is not determined
-STRUCTURAL = 1e-6  # share of a column that must be left when what is chosen already is taken out
-NEAR, NEAR_M = 0.02, 0.01  # rad, m: in every joint; poses this close should have the same error
-FEWEST_PAIRS = 10
-IN_PAIRS = 4  # of the poses that models are compared on, one in so many may be kept for having a neighbour
-REPEATING = 0.6  # difference within pairs over the residual itself; independent errors would differ by 1.4 times their size
-FEWEST_OF_MARKER = 20  # rows; fewer do not tell how well a marker fits
-BETTER = 0.97  # of the misfit of reported angles, below which commanded ones are used
-SOURCE_POSES = 300  # poses that tell which
-THINNED_TO = 1000  # poses; a comparison of many models does not get better by more
-THINNED_ROWS = 2000  # of all markers together; those of one pose see the same errors of the robot
+from .settings import ABSOLUTE
 
 
 def base_terms() -> tuple[Term, ...]:
@@ -63,7 +52,7 @@ def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observ
     """Names of the geometric parameters that a session determines beside stations and markers.
 
     Orthogonal-triangular decomposition of the whitened columns with pivoting: parameters that come `first` (joint zeros), then
-    the others, each time the one of which most is left. Chosen are those with a standard error below `DETERMINED`.
+    the others, each time the one of which most is left. Chosen are those with a standard error below `ABSOLUTE.determined`.
 
     Args:
         terms: all terms.
@@ -95,7 +84,7 @@ def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observ
             size = np.linalg.norm(left[:, open_], axis=0)
             best = int(np.argmax(size))
             j = open_.pop(best)
-            if size[best] <= max(STRUCTURAL * norm[j], excess / DETERMINED):
+            if size[best] <= max(ABSOLUTE.structural * norm[j], excess / ABSOLUTE.determined):
                 break
             u = left[:, j] / size[best]
             left = left - np.outer(u, u @ left)
@@ -112,7 +101,7 @@ def _excess(R: Array, equations: int) -> float:
     """How many times larger than stated the noise seems to be beside the best fit of all columns; at least 1."""
     A, b = R[:, :-1], R[:, -1]
     u, s, _ = np.linalg.svd(A)
-    known = u[:, : int((s > STRUCTURAL * s[0]).sum())]
+    known = u[:, : int((s > ABSOLUTE.structural * s[0]).sum())]
     left = float(np.sqrt(max(b @ b - ((known.T @ b) ** 2).sum(), 0.0)))
     return max(1.0, left / np.sqrt(max(equations - A.shape[1], 1)))
 
@@ -126,7 +115,7 @@ def held_geometry(terms: Sequence[Term], observation: Observation) -> tuple[str,
     return ()
 
 
-def thinned(observation: Observation, most: int = THINNED_TO, rows: int = THINNED_ROWS) -> Observation:
+def thinned(observation: Observation, most: int = ABSOLUTE.thinned_to, rows: int = ABSOLUTE.thinned_rows) -> Observation:
     """An observation of so many whole poses or fewer, spread evenly over the session; history and time stay as they were.
 
     Args:
@@ -136,7 +125,7 @@ def thinned(observation: Observation, most: int = THINNED_TO, rows: int = THINNE
     most = min(most, max(rows * len(poses) // max(len(observation.rows), 1), 1))
     if len(poses) <= most or observation.session.kind != "absolute":
         return observation
-    paired = _paired(observation, most // (2 * IN_PAIRS))
+    paired = _paired(observation, most // (2 * ABSOLUTE.in_pairs))
     rest = np.setdiff1d(poses, paired)
     kept = np.union1d(paired, rest[np.unique(np.linspace(0, len(rest) - 1, most - len(paired)).astype(int))])
     note = f"{len(kept)} of {len(poses)} poses, spread evenly, are used for comparing models"
@@ -149,7 +138,7 @@ def thinned(observation: Observation, most: int = THINNED_TO, rows: int = THINNE
 def _paired(observation: Observation, most: int) -> IntArray:
     """Poses of so many pairs or fewer that are close to each other, spread evenly: they tell the noise, which the rest can't."""
     pairs = near_pairs(observation, observation.y)
-    if len(pairs.first) < FEWEST_PAIRS or most < FEWEST_PAIRS:
+    if len(pairs.first) < ABSOLUTE.fewest_pairs or most < ABSOLUTE.fewest_pairs:
         return np.zeros(0, dtype=observation.pose.dtype)
     index = np.unique(np.linspace(0, len(pairs.first) - 1, min(most, len(pairs.first))).astype(int))
     paired: IntArray = np.unique(observation.pose[np.concatenate([pairs.first[index], pairs.second[index]])])
@@ -173,7 +162,7 @@ class NearPairs:
     @property
     def repeats(self) -> bool:
         """The residual is a property of the pose, not noise."""
-        return len(self.first) >= FEWEST_PAIRS and self.difference_m < REPEATING * self.residual_m
+        return len(self.first) >= ABSOLUTE.fewest_pairs and self.difference_m < ABSOLUTE.repeating * self.residual_m
 
 
 def near_pairs(observation: Observation, residual: Array) -> NearPairs:
@@ -183,8 +172,8 @@ def near_pairs(observation: Observation, residual: Array) -> NearPairs:
         residual: (m, 3), m.
     """
     scene, session, rows = observation.scene, observation.session, observation.rows
-    spread = np.where(scene.kin.is_prismatic, NEAR_M / NEAR, 1.0)
-    found = cKDTree(scene.q[rows] / spread).query_pairs(NEAR, p=np.inf, output_type="ndarray")
+    spread = np.where(scene.kin.is_prismatic, ABSOLUTE.near_m / ABSOLUTE.near, 1.0)
+    found = cKDTree(scene.q[rows] / spread).query_pairs(ABSOLUTE.near, p=np.inf, output_type="ndarray")
     order = np.argsort(np.argsort(session.stamp[rows], kind="stable"))
     apart = observation.pose[found[:, 0]] != observation.pose[found[:, 1]]
     apart &= session.marker[rows[found[:, 0]]] == session.marker[rows[found[:, 1]]]
@@ -203,7 +192,7 @@ def repeating(pairs: NearPairs) -> str:
         return ""
     return (
         "the residual repeats with the pose:"
-        f" in {len(pairs.first)} pairs of poses within {NEAR} rad in every joint, not measured in succession, it "
+        f" in {len(pairs.first)} pairs of poses within {ABSOLUTE.near} rad in every joint, not measured in succession, it "
         "differs by"
         f" {1e3 * pairs.difference_m:.3f} mm (median), while it is {1e3 * pairs.residual_m:.3f} mm itself; it is missing "
         "from the model, not noise"
@@ -239,7 +228,7 @@ def by_marker(observation: Observation, residual: Array) -> Observation:
     sizes = {}
     for m in np.unique(marker):
         mine = marker == m
-        if mine.sum() < FEWEST_OF_MARKER:
+        if mine.sum() < ABSOLUTE.fewest_of_marker:
             return observation
         sizes[session.markers[m].name] = size = _spread(inner[mine])
         own[mine] = size * w.sigma[mine] / np.median(w.sigma[mine])
@@ -280,7 +269,7 @@ def with_better_joints(session: Session) -> Session:
         commanded = replace(commanded, p_tcp_in_base=session.robot.kinematics(target).p_tcp)
     reported, other = (_geometric_misfit(s) for s in (session, commanded))
     words = f"beside the geometry reported joint angles leave {1e3 * reported:.4g} mm (median), commanded {1e3 * other:.4g} mm"
-    if other < BETTER * reported:
+    if other < ABSOLUTE.better * reported:
         return replace(commanded, notes=(*session.notes, f"{words}: the commanded ones (target_*) are used"))
     return replace(session, notes=(*session.notes, f"{words}: the reported ones (joint_*) are used"))
 
@@ -289,7 +278,7 @@ def _geometric_misfit(session: Session) -> float:
     from .gauss_newton import fitted  # which completes terms by this module
     from .observe import observe
 
-    seen = thinned(observe(session), SOURCE_POSES)
+    seen = thinned(observe(session), ABSOLUTE.source_poses)
     found, _ = fitted(base_terms(), seen)
     residual = seen.y - seen.of(total_displacement(found, seen.scene))
     return float(np.median(np.linalg.norm(residual, axis=1)))

@@ -9,11 +9,8 @@ import numpy as np
 
 from ..model import Combination
 from ..typing import Array, BoolArray
+from .settings import IDENTIFIABILITY
 from .system import System
-
-STRUCTURAL_TOLERANCE = 1e-7  # singular value relative to the largest below which a direction is not observed at all
-INVISIBLE = 1e-3  # standard deviations that all samples together see of a parameter of typical size; below: not visible
-ALONE = 1e-3  # share of a parameter along unobserved directions below which it is known by itself
 
 
 @dataclass(frozen=True)
@@ -43,15 +40,15 @@ def identifiability(system: System, names: list[str], values: Array) -> Identifi
         names, values: of its parameters, physical units, (p,).
     """
     norm = np.linalg.norm(system.A, axis=0)
-    seen = norm > INVISIBLE
+    seen = norm > IDENTIFIABILITY.invisible
     _, s, Vt = np.linalg.svd(system.A[:, seen] / norm[seen], full_matrices=False)
-    rank = int((s > STRUCTURAL_TOLERANCE * s[0]).sum()) if len(s) else 0
+    rank = int((s > IDENTIFIABILITY.structural * s[0]).sum()) if len(s) else 0
     known, hidden = Vt[:rank], Vt[rank:]
     variance = np.full(len(names), np.nan)
     loss = np.zeros(len(names))
     variance[seen] = ((known.T / s[:rank]) ** 2).sum(axis=1) / norm[seen] ** 2
     loss[seen] = np.sqrt((hidden**2).sum(axis=0)) if len(hidden) else 0.0
-    alone = seen & (loss < ALONE)
+    alone = seen & (loss < IDENTIFIABILITY.alone)
     to_physical = system.scale[seen] / norm[seen]
     covariance = (known.T / s[:rank] ** 2) @ known * np.outer(to_physical, to_physical)
     return Identifiability(
@@ -71,7 +68,7 @@ def _combinations(hidden: Array, loss: Array, names: Array, values: Array, covar
         loss: share of each parameter that lies along them, (p,).
         covariance: of the observed part, in physical units, (p, p).
     """
-    members = np.flatnonzero(loss >= ALONE)
+    members = np.flatnonzero(loss >= IDENTIFIABILITY.alone)
     if not len(members):
         return ()
     # reduced row echelon form: each parameter that is no pivot, corrected by the pivots, is a sum that is observed

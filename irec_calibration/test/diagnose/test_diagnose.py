@@ -15,6 +15,7 @@ import synthetic
 from irec_calibration.diagnose import Diagnosis, add_effect, diagnose, improve, remove_effect, start_terms
 from irec_calibration.diagnose.evidence import Block
 from irec_calibration.diagnose.held_out import held_out
+from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.diagnose.tool_weight import reference_readings
 from irec_calibration.effects import find_effect
@@ -23,6 +24,7 @@ from irec_calibration.effects.scene import Scene
 from irec_calibration.errors import Cancelled, EffectError, ModelError
 from irec_calibration.identification.identify import identify
 from irec_calibration.identification.provenance import model_of
+from irec_calibration.identification.settings import ABSOLUTE, IDENTIFIABILITY
 from irec_calibration.model import EIGHTEEN_DOF, Model, blank_model
 from irec_calibration.model.file import load_model, save_model
 from irec_calibration.session import Noise, Session
@@ -158,6 +160,9 @@ def test_the_result_file_tells_noise_evidence_and_thresholds() -> None:
     assert "held_out_structure" in data["verdict"]["evidence"]
     assert data["verdict"]["remaining_m"] > 0.0
     assert all({"value", "unit", "meaning", "derived"} <= set(s) for s in data["settings"].values())
+    assert data["settings"]["nats_to_name"]["value"] == SETTINGS.nats_to_name
+    for name, used in (("absolute.near", ABSOLUTE.near), ("identifiability.alone", IDENTIFIABILITY.alone)):
+        assert data["settings"][name]["value"] == used, "thresholds of the identification are recorded as they are used"
 
 
 def test_the_named_effect_brings_the_held_out_error_near_the_noise() -> None:
