@@ -14,7 +14,7 @@ import yaml
 from .cellfile import CellFile, read_cell
 from .errors import SimError
 from .hidden import write_matrix
-from .matrix import KIND_NAMES, STRENGTHS, matrix_cases, plain_cases
+from .matrix import KIND_NAMES, STRENGTHS, clean_cases, matrix_cases, plain_cases
 from .session import generate, scale_to_share, write_deflections, write_session
 from .truth import EFFECTS, Truth, make_truth, read_truth
 
@@ -60,6 +60,8 @@ def _hidden(args: argparse.Namespace) -> int:
         if unknown:
             raise SimError(f"--effect {unknown[0]}: not known; there are clean, {', '.join(EFFECTS)}")
         cases = plain_cases(args.effect, args.strength or STRENGTHS, args.repeats)
+    elif args.clean:
+        cases = clean_cases(rng, args.count or 20, not args.no_mishaps)
     else:
         cases = matrix_cases(rng, args.size, args.quick, args.only or KIND_NAMES, args.count, not args.no_mishaps)
     truth = write_matrix(
@@ -94,6 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     hidden.add_argument("--quick", action="store_true", help="about forty sessions")
     hidden.add_argument("--only", action="append", choices=KIND_NAMES, help="only this kind of session; may be given again")
     hidden.add_argument("--count", type=int, help="how many sessions of each kind (default: as the matrix has them)")
+    hidden.add_argument("--clean", action="store_true", help="--count loaded and as many absolute sessions, nothing hidden")
     hidden.add_argument("--no-mishaps", action="store_true", help="nothing goes wrong in single rows")
     hidden.add_argument("--poses", type=int, help="of each session (default: 18 to 40, drawn)")
     hidden.add_argument("--validation-poses", type=int, default=20)

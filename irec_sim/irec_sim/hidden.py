@@ -120,7 +120,8 @@ def draw_absolute_session(case: Case, seed: int, poses: int, validation_poses: i
     """An arm under gravity with wrong geometry; a quarter of them have nothing else."""
     rng = np.random.default_rng([seed, 8])
     arm = draw_arm(rng)
-    truth = draw_absolute(arm, 0 if rng.random() < 0.25 else int(rng.integers(1, 6)), rng)
+    bare = rng.random() < 0.25
+    truth = draw_absolute(arm, 0 if bare or case.nothing_hidden else int(rng.integers(1, 6)), rng)
     setup = draw_setup(arm.chain, rng)
     noise = draw_noise({"tracker_m": 1e-5, "tracker_m_per_m": 5e-6, "force_n": 1.0}, rng, case.tail, case.slow)
     claim, robot_m = draw_claim(noise, case.claim, rng), float(rng.uniform(5e-6, 3e-5))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ class Case:
         claim: `right` or a way to state the noise wrongly; tail: distribution of the noise; slow: part of it wanders.
         mishap: what goes wrong in one row, or empty; repeats: passes over the poses; repeated: poses of later passes.
         one_order: load cases always in the same order; temperatures: columns that are logged.
+        nothing_hidden: an absolute session draws no effects of its own.
     """
 
     kind: str
@@ -43,6 +44,7 @@ class Case:
     repeated: int | None = None
     one_order: bool = True
     temperatures: str = "all"
+    nothing_hidden: bool = False
 
 
 def plain_cases(effects: Sequence[str], strengths: Sequence[float], times: int) -> list[Case]:
@@ -54,6 +56,12 @@ def plain_cases(effects: Sequence[str], strengths: Sequence[float], times: int) 
         else:
             out += [Case("single" if e in CATALOGUE else "outside", (e,), s) for s in strengths for _ in range(times)]
     return out
+
+
+def clean_cases(rng: np.random.Generator, each: int, mishaps: bool = True) -> list[Case]:
+    """Loaded and absolute sessions in which nothing is hidden, so many of each, as in the whole matrix; noise wanders in half."""
+    cases = matrix_cases(rng, only=("clean", "absolute"), each=each, mishaps=mishaps)
+    return [replace(c, nothing_hidden=True, slow=bool(s)) for c, s in zip(cases, _spread(2 * each, 0.5, rng), strict=True)]
 
 
 def matrix_cases(

@@ -10,9 +10,9 @@ from irec_sim.absolute import MISHAPS as ABSOLUTE_MISHAPS
 from irec_sim.cellfile import read_cell
 from irec_sim.cli import main
 from irec_sim.errors import SimError
-from irec_sim.hidden import draw_session, write_matrix
+from irec_sim.hidden import draw_absolute_session, draw_session, write_matrix
 from irec_sim.kinematics import forward
-from irec_sim.matrix import Case, matrix_cases
+from irec_sim.matrix import Case, clean_cases, matrix_cases
 from irec_sim.mishaps import KINDS
 from irec_sim.noise import TrueNoise, claimed_over_true, draw_claim, marker_noise
 from irec_sim.observe import simulate
@@ -408,3 +408,11 @@ def test_what_passes_with_time_is_no_part_of_the_true_deflection():
     plain, drifting = (simulate(AFP, make_truth("afp", e, 1).physics(), schedule) for e in ([], ["thermal_drift"]))
     assert np.abs(plain.deflection - drifting.deflection).max() < 1e-9
     assert np.abs(plain.apparent_deflection(AFP) - drifting.apparent_deflection(AFP)).max() > 1e-6
+
+
+def test_clean_sessions_hide_nothing_whatever_the_noise():
+    cases = clean_cases(np.random.default_rng(0), 12)
+    assert [c.kind for c in cases] == 12 * ["clean"] + 12 * ["absolute"]
+    assert {c.slow for c in cases} == {False, True}
+    assert {c.claim == "right" for c in cases} == {False, True}
+    assert not any(draw_absolute_session(c, i, 20, 3).made.truth.hidden for i, c in enumerate(cases[12:16]))

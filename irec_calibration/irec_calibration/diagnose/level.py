@@ -44,16 +44,45 @@ def with_inferred_level(
 ) -> tuple[Study, tuple[Part, ...]]:
     """A model fitted to a session at the noise level that model and unnamed remainder leave together; rows that stand out."""
     observation = replace(observation, whiten=observation.whiten.scaled(1.0 / observation.whiten.level))
-    first = study_of(observation, terms)
+    first, remainder = _beside_wander(study_of(observation, terms), settings)
+    level = level_beside(first, remainder, settings)
+    found = first.observation
+    return study_of(replace(found, whiten=found.whiten.scaled(level)), first.terms), remainder.bad_rows
+
+
+def _beside_wander(first: Study, settings: Settings) -> tuple[Study, Remainder]:
+    """A model under noise that wanders, as far as the session shows it, and its remainder."""
     family = family_of(first)
     beside = grow(first.bench, family, first.base, without=_follows_time)
-    observation = wandering(observation, left_beside(first, beside), settings)
-    if observation.whiten.wander is not None:
-        first = study_of(observation, first.terms)
-        family = family_of(first)
-    remainder = grow(first.bench, family, first.base)
-    level = level_beside(first, remainder, settings)
-    return study_of(replace(observation, whiten=observation.whiten.scaled(level)), first.terms), remainder.bad_rows
+    if first.session.kind == "loaded":
+        observation = wandering(first.observation, left_beside(first, beside), settings)
+        if observation.whiten.wander is None:
+            return first, grow(first.bench, family, first.base)
+        study = study_of(observation, first.terms)
+        return study, grow(study.bench, family_of(study), study.base)
+    # over a whole session noise that wanders and smooth functions of time pass for each other: each way to see it is weighed
+    # together with the remainder that it leaves
+    whole = grow(first.bench, family, first.base)
+    best, most = (first, whole), _log_evidence(first, whole) + settings.nats_for_wander
+    known: set[tuple[float, float]] = set()
+    residuals = [_left(Ground(first.bench, first.base), first), left_beside(first, beside), left_beside(first, whole)]
+    while residuals:
+        observation = wandering(first.observation, residuals.pop(0), settings)
+        wander = observation.whiten.wander
+        if wander is None or (wander.share, wander.time) in known:
+            continue
+        known.add((wander.share, wander.time))
+        study = study_of(observation, first.terms)
+        rest = grow(study.bench, family_of(study), study.base)
+        residuals.append(left_beside(study, rest))  # a fit under correlated noise takes up less of it
+        if _log_evidence(study, rest) > most:
+            best, most = (study, rest), _log_evidence(study, rest)
+    return best
+
+
+def _log_evidence(study: Study, remainder: Remainder) -> float:
+    """Of model, remainder and noise together: comparable between noises of different correlation."""
+    return remainder.log_evidence - 3.0 * study.observation.whiten.log_size
 
 
 def noise_left(study: Study, remainder: Remainder, family: Family, settings: Settings = SETTINGS) -> Observation | None:
@@ -62,7 +91,7 @@ def noise_left(study: Study, remainder: Remainder, family: Family, settings: Set
     observation = study.observation
     whiten = observation.whiten
     beside = remainder
-    if any(_follows_time(p.structure) for p in remainder.parts):
+    if study.session.kind == "loaded" and any(_follows_time(p.structure) for p in remainder.parts):
         beside = grow(study.bench, family, study.base, remainder.parts, without=_follows_time)
     residual = left_beside(study, beside)
     again = wandering(observation, residual, settings)
@@ -77,7 +106,10 @@ def noise_left(study: Study, remainder: Remainder, family: Family, settings: Set
 
 def left_beside(study: Study, remainder: Remainder) -> Array:
     """What a model and a remainder leave of each observed row, (m, 3), m."""
-    ground = Ground(study.bench, remainder.block)
+    return _left(Ground(study.bench, remainder.block), study)
+
+
+def _left(ground: Ground, study: Study) -> Array:
     return study.observation.whiten.undo(ground.residual.reshape(-1, 3))
 
 

@@ -237,7 +237,7 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
         if term is None or not present:
             continue
         try:
-            rest = study_of(study.observation, tuple(t for t in study.terms if t is not term))
+            rest = without_columns(study, effect_id)
             sets = _Sets(rest, term.effect, {n: e.value for n, e in term.estimates.items()}, beside)
             if len(sets.names) < 2:
                 known[effect_id] = Parts(proven=present)
@@ -322,6 +322,17 @@ def parts_json(parts: dict[str, Parts]) -> Json:
         }
         for effect, p in parts.items()
     }
+
+
+def without_columns(study: Study, effect_id: str) -> Study:
+    """The linear problem about a fitted model without the columns of one effect.
+
+    Not that about the model fitted without it: other effects would be bent to make up for what is missing, and linearised there
+    they lend evidence to parts that are not there.
+    """
+    rest = [i for i, owner in enumerate(study.owners) if owner != effect_id]
+    return replace(study, base=study.base.take(rest), owners=tuple(study.owners[i] for i in rest),
+                   parameters=tuple(study.parameters[i] for i in rest), scale=study.scale[rest])  # fmt: skip
 
 
 def _with(study: Study, term: Term) -> Study:

@@ -35,16 +35,44 @@ class Wander:
 
     Attributes:
         share: of the variance, 0 .. 1; time: correlation time, s.
-        stamp, stamp_reference: of each row and of its reference, (m,), s.
+        stamp: of each row, (m,), s.
+        stretch: rows with the same number may be correlated, (m,); between stretches correlation is neglected.
+        sigma: standard deviation per coordinate of which the share is, (m,), m.
+        stamp_reference, sigma_reference: of the reference that a row is the difference from; None: rows are no differences.
     """
 
     share: float
     time: float
     stamp: Array
-    stamp_reference: Array
+    stretch: IntArray
+    sigma: Array
+    stamp_reference: Array | None = None
+    sigma_reference: Array | None = None
 
     def only(self, keep: BoolArray | IntArray) -> Wander:
-        return replace(self, stamp=self.stamp[keep], stamp_reference=self.stamp_reference[keep])
+        if self.stamp_reference is None or self.sigma_reference is None:
+            return replace(self, stamp=self.stamp[keep], stretch=self.stretch[keep], sigma=self.sigma[keep])
+        return replace(
+            self, stamp=self.stamp[keep], stretch=self.stretch[keep], sigma=self.sigma[keep],
+            stamp_reference=self.stamp_reference[keep], sigma_reference=self.sigma_reference[keep],
+        )  # fmt: skip
+
+    def scaled(self, factor: float) -> Wander:
+        reference = None if self.sigma_reference is None else self.sigma_reference * factor
+        return replace(self, sigma=self.sigma * factor, sigma_reference=reference)
+
+    def excess(self, index: IntArray) -> Array:
+        """Covariance of stretches of s rows each, (k, s), less that of noise that doesn't wander, (k, s, s), m^2."""
+        own, t = self.sigma[index], self.stamp[index]
+        slow = own[:, :, None] * own[:, None, :] * self._alike(t[:, :, None] - t[:, None, :])
+        slow -= own[:, :, None] ** 2 * np.eye(index.shape[1])
+        if self.stamp_reference is not None and self.sigma_reference is not None:
+            to_reference = own * self.sigma_reference[index] * self._alike(t - self.stamp_reference[index])
+            slow = slow - to_reference[:, :, None] - to_reference[:, None, :]
+        return np.asarray(self.share * slow)
+
+    def _alike(self, between: Array) -> Array:
+        return np.exp(-np.abs(between) / self.time)
 
 
 @dataclass(frozen=True)
@@ -52,9 +80,9 @@ class Whitening:
     """Turns rows with correlated noise into rows of unit, independent noise.
 
     Rows of one pose and repeat share the noise of their reference row: cov = diag(sigma^2) + sigma_0^2 1 1', alike in x, y and z.
-    Where a share w of the variance wanders (`Wander`), the noise e of two rows or references of a group is correlated by
-    w exp(-|t - t'| / T), and cov is that of the differences e_j - e_0; between groups it is neglected, since differences within
-    a pose hardly know of each other.
+    Where a share w of the variance wanders (`Wander`), the noise e of two rows or references of a stretch is correlated by
+    w exp(-|t - t'| / T). In a loaded session a stretch is a group and cov that of the differences e_j - e_0; between groups it is
+    neglected, since differences within a pose hardly know of each other.
 
     Attributes:
         sigma: standard deviation per coordinate of each observed row by itself, (m,), m.
@@ -72,9 +100,10 @@ class Whitening:
 
     def __post_init__(self) -> None:
         by_size: dict[int, list[IntArray]] = {}
-        if np.any(self.sigma_reference > 0.0):
-            order = np.argsort(self.group, kind="stable")
-            for rows in np.split(order, np.flatnonzero(np.diff(self.group[order])) + 1):
+        together = self.group if self.wander is None else self.wander.stretch
+        if self.wander is not None or np.any(self.sigma_reference > 0.0):
+            order = np.argsort(together, kind="stable")
+            for rows in np.split(order, np.flatnonzero(np.diff(together[order])) + 1):
                 by_size.setdefault(len(rows), []).append(rows)
         blocks = []
         for groups in by_size.values():
@@ -84,19 +113,11 @@ class Whitening:
         object.__setattr__(self, "_blocks", blocks)
 
     def _covariance(self, index: IntArray) -> Array:
-        """Of groups of s rows each, (k, s) -> (k, s, s), m^2."""
-        own, reference = self.sigma[index], self.sigma_reference[index]
-        together = np.eye(index.shape[1])
-        alone = own[:, :, None] ** 2 * together + reference[:, :, None] * reference[:, None, :]
-        if self.wander is None:
-            return np.asarray(alone)
-        t, t_0, T = self.wander.stamp[index], self.wander.stamp_reference[index], self.wander.time
-        between = np.exp(-np.abs(t[:, :, None] - t[:, None, :]) / T)
-        to_reference = own * reference * np.exp(-np.abs(t - t_0) / T)
-        slow = own[:, :, None] * own[:, None, :] * between + reference[:, :, None] * reference[:, None, :]
-        slow = slow - to_reference[:, :, None] - to_reference[:, None, :]
-        w = self.wander.share
-        return np.asarray((1.0 - w) * alone + w * slow)
+        """Of groups or stretches of s rows each, (k, s) -> (k, s, s), m^2."""
+        own, reference, group = self.sigma[index], self.sigma_reference[index], self.group[index]
+        shared = reference[:, :, None] * reference[:, None, :] * (group[:, :, None] == group[:, None, :])
+        alone = own[:, :, None] ** 2 * np.eye(index.shape[1]) + shared
+        return np.asarray(alone if self.wander is None else alone + self.wander.excess(index))
 
     @property
     def log_size(self) -> float:
@@ -136,7 +157,9 @@ class Whitening:
 
     def scaled(self, factor: float) -> Whitening:
         """The same with all noise larger by a factor."""
-        return replace(self, sigma=self.sigma * factor, sigma_reference=self.sigma_reference * factor, level=self.level * factor)
+        sigma, reference = self.sigma * factor, self.sigma_reference * factor
+        wander = None if self.wander is None else self.wander.scaled(factor)
+        return replace(self, sigma=sigma, sigma_reference=reference, level=self.level * factor, wander=wander)
 
     @property
     def claimed_floor(self) -> float:

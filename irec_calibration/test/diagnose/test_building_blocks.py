@@ -18,6 +18,7 @@ from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.forms import forms_of
 from irec_calibration.diagnose.held_out import held_out, only_good_poses
 from irec_calibration.diagnose.lasting import lasts
+from irec_calibration.diagnose.parts import without_columns
 from irec_calibration.diagnose.remainder import grow
 from irec_calibration.diagnose.shape import reshaped
 from irec_calibration.diagnose.study import Study, prepare, study_of
@@ -130,3 +131,15 @@ def test_a_bad_pose_has_no_say_in_whether_a_model_helps_on_held_out_poses() -> N
     rest = grow(found.bench, family_of(found), found.base)
     assert rest.bad_rows
     assert gain(*(only_good_poses(h, found, rest) for h in (before, after)))[0] > 0.0
+
+
+def test_parts_of_an_effect_are_weighed_about_the_model_that_has_it() -> None:
+    bare = study(play_of_axis_4)
+    whole = study_of(bare.observation, (*bare.terms, Term(find_effect("joint_backlash"))))
+    rest = without_columns(whole, "joint_backlash")
+    others = [i for i, owner in enumerate(whole.owners) if owner != "joint_backlash"]
+    assert 0 < len(others) < len(whole.owners) == whole.base.A.shape[1]
+    np.testing.assert_array_equal(rest.base.A, whole.base.A[:, others])
+    np.testing.assert_array_equal(rest.bench.b, whole.bench.b)
+    # what the effect explains is still on the right side
+    assert rest.bench.posterior(rest.base).chi2 > 2.0 * whole.bench.posterior(whole.base).chi2

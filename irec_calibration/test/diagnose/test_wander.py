@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracker noise that wanders within minutes is noise: it is told, and nothing is found in it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from absolute_sessions import session
+from irec_calibration.diagnose import diagnose
+from irec_calibration.diagnose.wander import wandering
+from irec_calibration.identification.noise import Wander, Whitening
+from irec_calibration.identification.observe import observe
+from irec_calibration.session import Marker, Noise, Session
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+NOISE = Noise(tracker_m=1.5e-5)
+SIZE, TIME = 4e-5, 40.0  # m, s; of what wanders in the sessions here
+
+
+def course(stamp: Array, seed: int, time: float = TIME) -> Array:
+    """A stationary course of unit variance with an exponential correlation in time, (n, 3)."""
+    rng = np.random.default_rng(seed)
+    times, of_row = np.unique(stamp, return_inverse=True)
+    out = rng.standard_normal((len(times), 3))
+    for i in range(1, len(times)):
+        keep = np.exp(-(times[i] - times[i - 1]) / time)
+        out[i] = keep * out[i - 1] + np.sqrt(1.0 - keep**2) * out[i]
+    return np.asarray(out[of_row])
+
+
+def wandered(seed: int, poses: int = 100) -> Session:
+    """Two markers of a robot with wrong geometry alone, seen by a tracker that wanders, poses in an order that was planned."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-1.3, 1.3, (poses, 6))
+    q = q[np.lexsort((q[:, 1], np.round(2.0 * q[:, 0])))]
+    markers = (Marker("M", "tool0", (0.03, -0.02, 0.1), known=False), Marker("B", "base_link", (0.3, 0.1, 0.0), known=False))
+    return session(
+        poses=poses, seed=seed, noise=NOISE, q=q, markers=markers, moved=lambda s, p: SIZE * course(s.stamp, seed)
+    )  # fmt: skip
+
+
+def test_correlated_noise_is_whitened_across_groups_that_share_more() -> None:
+    rng = np.random.default_rng(1)
+    n, draws = 12, 20000
+    stamp, group = np.repeat(np.arange(n / 2) * 7.0, 2), np.repeat(np.arange(n // 2), 2)
+    sigma, shared = rng.uniform(1e-5, 3e-5, n), np.repeat(rng.uniform(1e-5, 3e-5, n // 2), 2)
+    wander = Wander(0.7, 20.0, stamp, np.zeros(n, dtype=np.int64), sigma)
+    whiten = Whitening(sigma, shared, group, wander=wander)
+    slow = np.stack([course(stamp, i, 20.0) for i in range(draws)], axis=2)
+    fast = rng.standard_normal((n, 3, draws))
+    together = rng.standard_normal((n // 2, 3, draws))[group]
+    noise = sigma[:, None, None] * (np.sqrt(0.7) * slow + np.sqrt(0.3) * fast) + shared[:, None, None] * together
+    white = whiten(noise)
+    covariance = np.einsum("iad,jad->ij", white, white) / (3 * draws)
+    np.testing.assert_allclose(covariance, np.eye(n), atol=0.03)
+    np.testing.assert_allclose(whiten.undo(white), noise, atol=1e-12)
+    np.testing.assert_allclose(whiten.scaled(2.0)(noise), white / 2.0, atol=1e-9)
+
+
+def test_noise_of_an_absolute_session_that_wanders_is_found_with_its_time() -> None:
+    observation = observe(wandered(3))
+    rng = np.random.default_rng(2)
+    fast = NOISE.tracker_m * rng.standard_normal((len(observation.rows), 3))
+    slow = SIZE * course(observation.session.stamp[observation.rows], 5)
+    found = wandering(observation, fast + slow).whiten.wander
+    assert found is not None
+    assert 0.7 <= found.share <= 0.95  # truly 0.88
+    assert 12.0 <= found.time <= 75.0
+    assert wandering(observation, fast).whiten.wander is None
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_nothing_is_found_in_an_absolute_session_whose_tracker_wanders(seed: int) -> None:
+    found = diagnose(wandered(seed))
+    assert found.verdict.status == "adequate"
+    assert found.noise is not None
+    assert found.noise.wander_share > 0.5
+
+
+def test_a_slow_drift_of_an_absolute_session_does_not_pass_for_noise_that_wanders() -> None:
+    def drift(s: Session, p: Array) -> Array:
+        return 2e-4 * (s.stamp / s.stamp.max())[:, None] * np.array([0.6, 0.0, 0.8])
+
+    found = diagnose(session(poses=100, noise=NOISE, moved=drift))
+    assert found.verdict.status != "adequate"
