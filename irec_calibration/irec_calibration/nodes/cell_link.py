@@ -9,9 +9,10 @@ import time
 from typing import Any
 
 from ..errors import IrecError
+from ..recertification.preconditions import told_lines
 
 ANSWER = 5.0  # s
-PUT_ANSWER = 40.0  # s: calibration_node itself waits for correction_node, 10 s until it is there and 10 s for its answer
+PUT_ANSWER = 90.0  # s: calibration_node itself waits for correction_node, 10 s until it is there and 60 s for its answer
 POLL = 0.1  # s
 
 
@@ -35,6 +36,7 @@ class RosLink:
             raise IrecError(f"ROS 2 or the messages of irec are not here ({error.name})") from error
         self._goal_type, self._put_type, self._trigger_type = Recertify.Goal, PutInForce.Request, Trigger.Request
         self.progress: dict[str, Any] | None = None
+        self.preconditions: list[str] = []  # of the run under way or of the last one, as far as told, one line each
         self._goal: Any = None
         self._asked = False  # from before the answer of calibration_node on: feedback may come earlier than it
         self._context = rclpy.Context()
@@ -65,7 +67,7 @@ class RosLink:
         """Run a recertification to its end. Raises IrecError: calibration_node does not answer, or refuses."""
         if self.running:
             raise IrecError("A run is under way already.")
-        self._asked = True
+        self._asked, self.preconditions = True, []
         goal = self._goal_type(operator_name=who, confirmed=confirmed, check_only=check_only, full=full, resume=resume)
         try:
             result = await self._run(goal)
@@ -124,6 +126,10 @@ class RosLink:
 
     def _on_feedback(self, message: Any) -> None:
         f = message.feedback
+        told = told_lines(f.message)
+        if told:
+            self.preconditions = [*self.preconditions, *told]
+            return
         self.progress = {
             "message": f.message, "pose": f.pose, "poses": f.poses, "remaining_s": f.remaining.sec + 1e-9 * f.remaining.nanosec,
             "paused": bool(self.progress and self.progress.get("paused")),

@@ -24,7 +24,7 @@ from ..session import Session, read_session, write_table
 from ..typing import Json
 from .journal import Entry
 from .judgement import Judgement, Missing, judge, with_diagnosis
-from .preconditions import Precondition, own_preconditions
+from .preconditions import Precondition, own_preconditions, told
 from .quick_check import QuickResult, Reference, check, reference_of
 from .quick_plan import QuickPlan, plan
 from .request import Place, Request
@@ -91,7 +91,11 @@ def recertify(place: Place, store: Store, request: Request, side: CellSide) -> O
         IrecError: it can't go on; the calibration in force is unchanged and the run can be resumed.
     """
     side.report("preconditions", "looking at robot, instruments and files; nothing moves")
-    found = (*own_preconditions(place, store, request), *side.preconditions())
+    own = own_preconditions(place, store, request)
+    side.report("preconditions", told(own))
+    of_cell = side.preconditions()
+    side.report("preconditions", told(of_cell))
+    found = (*own, *of_cell)
     missing = [p for p in found if not p.holds]
     if missing:
         text = " ".join(f"{p.name}: {p.text}." for p in missing)

@@ -21,6 +21,7 @@ from .store import Store
 
 FREE_DISK = 2e9  # bytes: one full procedure with all raw streams, twice
 SAME_MASS, SAME_MASS_SHARE = 0.5, 0.01  # kg, and share of it: a difference that is another way to state the same tool
+HOLDS, FAILS = "✓ ", "✗ "
 SAME_MARKER = 5e-3  # m; a reflector that was put on anew
 
 
@@ -31,6 +32,16 @@ class Precondition:
     name: str
     holds: bool
     text: str
+
+
+def told(preconditions: Sequence[Precondition]) -> str:
+    """One line for each: HOLDS or FAILS, its name, what was found."""
+    return "\n".join(f"{HOLDS if p.holds else FAILS}{p.name}: {p.text}" for p in preconditions)
+
+
+def told_lines(message: str) -> list[str]:
+    """The lines of a message of progress that tell a precondition; none where it tells something else."""
+    return [line for line in message.splitlines() if line.startswith((HOLDS, FAILS))]
 
 
 def own_preconditions(place: Place, store: Store, request: Request) -> tuple[Precondition, ...]:
@@ -68,7 +79,7 @@ def _nothing_to_check(request: Request, before: Session | None) -> str:
     if request.full:
         return "check_only and full are both asked for; leave one of them out"
     if before is None:
-        return "there is no calibration in force with its session, which a check compares with; run the full procedure"
+        return "there is no calibration in force with its session, which a check compares with; recalibrate"
     return ""
 
 

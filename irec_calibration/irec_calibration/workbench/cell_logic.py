@@ -21,6 +21,7 @@ CONFIRM = {
     "tool": "This is the tool that the calibration is for, and it is tight.",
 }  # as in recertification.readings: what only a person can see
 GO_ON = "Go on with the run that was stopped."
+FULL = "Measure everything anew, even if the robot is as it was (takes longer)."
 SHOWN = 6
 
 
@@ -50,6 +51,8 @@ def light_of(result: Mapping[str, Any]) -> Light:
         return Light(colour, sentence, now or "Do this now: check one part at reduced speed.")
     if kind is Kind.INVESTIGATE:
         return Light(AMBER, sentence, now or "Do this now: show this page to the person in charge.")
+    if not result.get("session_path"):  # refused before anything was measured: that says nothing of the robot
+        return Light(GREY, sentence, now or "Do this now: mend what it says, then try again.")
     return Light(RED, sentence, now or "Do this now: show this page to the person in charge.")
 
 

@@ -12,8 +12,9 @@ from nicegui import background_tasks, ui
 
 from ..cell import Cell
 from ..errors import IrecError
+from ..recertification.preconditions import FAILS
 from ..recertification.store import Store
-from .cell_logic import CONFIRM, GO_ON, GREEN, GREY, Light, calibrations, how_far, light_of, may_start
+from .cell_logic import CONFIRM, FULL, GO_ON, GREEN, GREY, Light, calibrations, how_far, light_of, may_start
 
 COLOURS = {"green": "#00734f", "amber": "#9a6200", "red": "#b3261e", "grey": "#596270"}
 SIGNS = {"green": "✓", "amber": "!", "red": "✗", "grey": "?"}
@@ -44,6 +45,9 @@ class CellPage:
             ui.html(f"<h1 style='font-size: 1.4rem; font-weight: 650; line-height: 1.4'>{name}</h1>", sanitize=False)
             with ui.element("div").props('role="status" aria-live="polite" data-testid="light"').style("width: 100%"):
                 self._show(self._first())
+            self.told: list[str] = []
+            with ui.element("div").props('data-testid="preconditions"').style("width: 100%"):
+                self._show_preconditions()
             self.far = ui.label("").style("font-size: 1.2rem").props('data-testid="far"')
             self.bar = ui.linear_progress(0.0, show_value=False).props("size=24px")
             columns = "display: grid; gap: .8rem; width: 100%; margin-top: .8rem; grid-template-columns: repeat"
@@ -78,7 +82,19 @@ class CellPage:
             ui.label(light.sentence).style("font-size: 1.1rem")
             ui.label(light.now).style("font-size: 1.3rem; font-weight: 650").props('data-testid="now"')
 
+    @ui.refreshable_method
+    def _show_preconditions(self) -> None:
+        if self.told:
+            ui.label("Looked at before anything moves:").style("font-size: 1.1rem; font-weight: 650")
+        for line in self.told:
+            failed = f"; font-weight: 650; color: {COLOURS['red']}" if line.startswith(FAILS) else ""
+            ui.label(line).style(f"font-size: 1.1rem{failed}")
+
     def _tick(self) -> None:
+        told = list(self.link.preconditions) if self.link is not None else []
+        if told != self.told:
+            self.told = told
+            self._show_preconditions.refresh()
         running = self.link is not None and self.link.running
         share, words = how_far(self.link.progress if running else None)
         self.far.set_text(words)
@@ -93,7 +109,10 @@ class CellPage:
             boxes = {}
             for key, text in CONFIRM.items():
                 boxes[key] = ui.checkbox(text).style("font-size: 1.1rem").props(f'size=lg data-testid="tick-{key}"')
-            resume = None if check_only else ui.checkbox(GO_ON).props("size=lg")
+            resume = full = None
+            if not check_only:
+                resume = ui.checkbox(GO_ON).props('size=lg data-testid="go-on"')
+                full = ui.checkbox(FULL).props('size=lg data-testid="full"')
             name = ui.input("your name").style("font-size: 1.2rem; width: 100%").props('data-testid="name"')
             missing = ui.label("").style("color: #b3261e; font-weight: 650").props('role="alert" data-testid="missing"')
 
@@ -104,16 +123,17 @@ class CellPage:
                     missing.set_text(str(error))
                     return
                 dialog.close()
-                self._run(self._measure(str(name.value), confirmed, check_only, bool(resume and resume.value)))
+                wanted = {"check_only": check_only, "full": bool(full and full.value), "resume": bool(resume and resume.value)}
+                self._run(self._measure(str(name.value), confirmed, wanted))
 
             with ui.row():
                 ui.button("Start", on_click=go).props('no-caps unelevated data-testid="start"').style(LARGE)
                 ui.button("Leave it", on_click=dialog.close).props("no-caps outline").style(LARGE)
         dialog.open()
 
-    async def _measure(self, who: str, confirmed: list[str], check_only: bool, resume: bool) -> None:
+    async def _measure(self, who: str, confirmed: list[str], wanted: dict[str, bool]) -> None:
         self._show.refresh(Light(GREY, "The run is under way.", "Do this now: stay outside the area of the robot."))
-        result = await self.link.recertify(who, confirmed, check_only=check_only, resume=resume)
+        result = await self.link.recertify(who, confirmed, **wanted)
         self.certificate = str(result.get("certificate_path") or "")
         self._show.refresh(light_of(result))
 

@@ -14,7 +14,7 @@ from irec_calibration.effects.of_session import marker_by_controller
 from irec_calibration.errors import IrecError
 from irec_calibration.recertification.flow import Outcome, recertify
 from irec_calibration.recertification.judgement import Missing
-from irec_calibration.recertification.preconditions import Precondition, another_tool
+from irec_calibration.recertification.preconditions import Precondition, another_tool, told_lines
 from irec_calibration.recertification.request import Place, Request, Tool
 from irec_calibration.recertification.run_state import interrupted
 from irec_calibration.recertification.store import Store
@@ -303,7 +303,7 @@ def test_a_check_only_never_starts_the_full_procedure(store: Store) -> None:
 def test_a_check_only_moves_nothing_where_there_is_nothing_to_compare_with(tmp_path: Path) -> None:
     side, poses = FakeCell(), pose_file(tmp_path / "poses.yaml", 10)
     outcome = recertify(PLACE, Store(tmp_path, "S-1"), Request("M. Muster", str(poses), check_only=True), side)
-    assert outcome.verdict == "failed: model" and "run the full procedure" in outcome.text
+    assert outcome.verdict == "failed: model" and "recalibrate" in outcome.text
     assert side.runs == [] and not side.activated
 
 
@@ -333,3 +333,13 @@ def test_the_state_of_a_run_is_on_the_disk_while_it_measures(store: Store) -> No
     side.run = run  # type: ignore[method-assign]
     year(store, side, full=True)
     assert seen == ["procedure"]
+
+
+def test_each_precondition_is_told_before_anything_moves(store: Store) -> None:
+    side = FakeCell(problems=(Precondition("tracker", False, "does not see the marker; free the line of sight"),))
+    outcome = year(store, side)
+    assert outcome.verdict == "failed: tracker" and not side.runs
+    lines = [line for message in side.reported for line in told_lines(message.removeprefix("preconditions: "))]
+    assert lines[0] == "✓ operator: M. Muster"
+    assert lines[-1] == "✗ tracker: does not see the marker; free the line of sight"
+    assert {line[2:].partition(":")[0] for line in lines} == {"operator", "model", "poses", "disk", "tracker"}

@@ -1,20 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures: the session with a hidden effect, made once."""
+"""Fixtures: the session with a hidden effect, made once; a browser."""
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from irec_calibration.session.mcap_io import write_mcap
 from synthetic import session
-from workbench_server import hardening, write_hidden
+from workbench_server import CHROMIUM, FLAGS, hardening, write_hidden
 
 
 @pytest.fixture(scope="session")
 def hidden_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_hidden(tmp_path_factory.mktemp("sessions") / "hidden")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[object]:
+    """Headless Chromium."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is missing: pip install playwright")
+    with playwright.sync_playwright() as run:
+        made = run.chromium.launch(executable_path=shutil.which(CHROMIUM), args=FLAGS)
+        yield made
+        made.close()
 
 
 @pytest.fixture(scope="session")

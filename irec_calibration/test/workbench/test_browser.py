@@ -10,24 +10,16 @@ from pathlib import Path
 
 import pytest
 from irec_calibration.model.file import load_model
-from workbench_server import CHROMIUM, FLAGS, Server
+from workbench_server import CHROMIUM, Server
 
 pytest.importorskip("nicegui", reason="NiceGUI is missing: pip install 'irec_calibration[workbench]'")
-playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is missing: pip install playwright")
+pytest.importorskip("playwright.sync_api", reason="Playwright is missing: pip install playwright")
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not CHROMIUM, reason="no Chromium here: apt-get install chromium"),
 ]
 LONG = 150_000  # ms: a machine with other work
 HIDDEN = "axis 1: c * tau**3"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[object]:
-    with playwright.sync_playwright() as run:
-        made = run.chromium.launch(executable_path=shutil.which(CHROMIUM), args=FLAGS)
-        yield made
-        made.close()
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,8 @@ PATIENCE = 60.0  # s
         ({"success": True, "verdict": "recalibrated", "activated": True, "text": "New."}, GREEN),
         ({"success": True, "verdict": "recalibrated", "activated": False, "text": "New, dry run."}, AMBER),
         ({"success": True, "verdict": "investigate: axis 3", "text": "Axis 3."}, AMBER),
-        ({"success": True, "verdict": "failed: error above tolerance", "text": "Bad."}, RED),
+        ({"success": True, "verdict": "failed: error above tolerance", "text": "Bad.", "session_path": "full.mcap"}, RED),
+        ({"success": True, "verdict": "failed: tracker", "text": "Nothing was moved."}, GREY),
         ({"success": False, "verdict": "failed: cancelled", "text": "Cancelled."}, GREY),
     ],
 )
