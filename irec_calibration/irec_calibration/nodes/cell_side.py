@@ -35,6 +35,7 @@ from .analyses import run_command
 LOOK_SECONDS = 6.0  # of the machine's clock, for readings before anything moves
 LOOK_LONGEST = 30.0  # where the marker does not plainly stand still by then
 ANSWER_WAIT = 10.0  # s of the machine's clock for another node to answer
+ACTIVATE_WAIT = 60.0  # s of the machine's clock for correction_node to take a model
 CANCEL_WAIT = 60.0  # s of the machine's clock for the robot to leave the contact
 MODES = {RobotState.MODE_POSITION: "position", RobotState.MODE_FORCE: "force", RobotState.MODE_FAULT: "fault"}
 Report = Callable[[str, str, int, int, float], None]
@@ -265,10 +266,25 @@ class RosCell:
             return str(error)
         if not self._activate.wait_for_service(timeout_sec=ANSWER_WAIT):
             return "correction_node does not answer; start and configure it"
-        answer = waited(self._activate.call_async(ActivateModel.Request(model_path=str(model_path))), ANSWER_WAIT)
+        answer = self._asked_again(ActivateModel.Request(model_path=str(model_path)))
         if answer is None:
-            return "correction_node gave no answer"
+            return f"correction_node gave no answer within {ACTIVATE_WAIT:.0f} s; end it and start it again"
         return "" if answer.success else str(answer.message)
+
+    def _asked_again(self, request: ActivateModel.Request) -> ActivateModel.Response | None:
+        """Answer of correction_node; None where there is none.
+
+        An answer comes late where the node has more readings to work off than it can (a simulation faster than real time on a
+        busy machine), and is lost where it was started just now and has not found this node yet. Asking twice does no harm.
+        """
+        futures: list[Any] = []
+        for _ in range(round(ACTIVATE_WAIT / ANSWER_WAIT)):
+            futures.append(self._activate.call_async(request))
+            waited(futures[-1], ANSWER_WAIT)
+            for future in futures:
+                if future.done():
+                    return future.result()  # type: ignore[no-any-return]
+        return None
 
 
 def _into(values: dict[str, list[float]], name: str) -> Callable[[Temperature], None]:

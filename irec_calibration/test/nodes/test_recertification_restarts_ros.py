@@ -42,6 +42,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.long]
 CELL = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
 PATIENCE = 300.0  # s of the machine's clock
 POSES = 9
+FEW = 6  # that suffice for a new model to be better than one of a robot that hardly gives way, whatever the noise
 CALLER = """
 import sys, rclpy
 from rclpy.action import ActionClient
@@ -192,7 +193,7 @@ def test_a_recalibration_goes_on_while_correction_and_recorder_are_killed_and_co
     text = CELL.read_text().replace("../robots", str(CELL.parents[1] / "robots"))
     path.write_text(text.replace("min_poses: 12", "min_poses: 4"))
     cell = read_cell(path)
-    poses = write_poses(pose_list(cell, make_plan(cell, 4, pool_size=60)), tmp_path / "poses.yaml")
+    poses = write_poses(pose_list(cell, make_plan(cell, FEW, pool_size=60)), tmp_path / "poses.yaml")
     store = store_with_a_stiff_robot(tmp_path, cell)
     correction_node = node(
         "irec_correction.nodes.correction_node", cell=path, calibrations="cal", autostart="true", use_sim_time="true"
@@ -222,7 +223,7 @@ def test_a_recalibration_goes_on_while_correction_and_recorder_are_killed_and_co
         result = person.answer(future)
         assert (result.success, result.activated, result.verdict) == (True, True, "recalibrated"), result.text
         session = read_session(result.session_path)
-        assert len(session) == 6 * 4 and interrupted(store) == "", "each pose once"
+        assert len(session) == 6 * FEW and interrupted(store) == "", "each pose once"
         entry = store.in_force_entry()
         assert entry is not None and entry.calibration == result.calibration
 
