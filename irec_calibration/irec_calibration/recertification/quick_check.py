@@ -158,13 +158,39 @@ def check(reference: Reference, session: Session, sizes: Mapping[str, float] | N
     if d.size > 2 * B.shape[1]:  # a noisier tracker is no change of the robot
         white = now.whiten(d.reshape(-1, 3)).ravel()
         scale = max(scale, _ridge(now.whiten(columns).reshape(B.shape), white)[0])
-    covariance = np.kron(scale**2 * row_covariance(now), np.eye(3)) + B @ reference.covariance @ B.T
+    covariance = _covariance(reference, now, B, scale)
     visible = {c.name for c in reference.changes}
     looked_for = [c for c in changes(terms, now.scene) if c.name in visible]
     least = np.array([(sizes or {}).get(c.name, 1.0) for c in looked_for])
     A = np.stack([now.of(c.displacement).ravel() for c in looked_for], axis=1) * least
-    WA = weighted(covariance, station_columns(now.of(now.scene.p_observed) + now.y), A)
+    WA = weighted(covariance, _station(now), A)
     return _decide(looked_for, least, WA.T @ d, np.einsum("ij,ij->j", A, WA), len(now.poses))
+
+
+def signal_to_noise(reference: Reference, session: Session, displacement: Array, repeats: float = 1.0) -> float:
+    """Of a change in the rows of a check, by the best test that there is: one that is told how each row changes.
+
+    With false alarms of probability a it finds the change with probability Phi(this - z), where Phi(z) = 1 - a.
+
+    Args:
+        displacement: of the observed point by the change, relative to that at the reference, (m, 3), m, in base_link.
+        repeats: as if each row were the mean of so many.
+    """
+    now = observe_with_force_noise(with_stations_found(session), reference.terms)
+    B = _columns(reference.terms, now).reshape(3 * len(now.rows), -1)
+    a = displacement.reshape(-1, 1)
+    covariance = _covariance(reference, now, B, reference.scale / np.sqrt(repeats))
+    return float(np.sqrt(max((a.T @ weighted(covariance, _station(now), a)).item(), 0.0)))
+
+
+def _covariance(reference: Reference, now: Observation, B: Array, scale: float) -> Array:
+    """Of the displacements of a check, (3 m, 3 m), m^2: noise of the rows, and what the calibration leaves open of columns B."""
+    noise = np.kron(scale**2 * row_covariance(now), np.eye(3))
+    return np.asarray(noise + B @ reference.covariance @ B.T, dtype=np.float64)
+
+
+def _station(now: Observation) -> Array:
+    return station_columns(now.of(now.scene.p_observed) + now.y)
 
 
 def weighted(covariance: Array, nuisance: Array, columns: Array) -> Array:
@@ -188,7 +214,7 @@ def _decide(looked_for: Sequence[Change], least: Array, z: Array, information: A
     like = tuple(looked_for[i].name for i in order if by_change[i] > by_change[order[0]] - np.log(20.0))
     if e_value >= 1.0 / FALSE_ALARM and poses >= FEWEST_TO_ALARM:
         text = (
-            f"The robot has changed since its calibration (odds {e_value:.3g} to 1 after {poses} poses). It looks like: "
+            f"The robot has changed since its calibration (odds {odds_text(e_value)} after {poses} poses). It looks like: "
             + " or ".join(words[n] for n in like[:3])
             + ". Do this now: run the full recalibration."
         )
@@ -205,6 +231,13 @@ def _decide(looked_for: Sequence[Change], least: Array, z: Array, information: A
     left = [c.text(k) for c, k in zip(looked_for, least.tolist(), strict=True) if c.name not in excluded]
     text = f"After {poses} poses it is not decided yet whether there is: {', '.join(left[:4]) or 'any change'}."
     return QuickResult("undecided", e_value, ratio, size, (), poses, text, named, words)
+
+
+def odds_text(of_change: float) -> str:
+    """`120 to 1`, `1 to 3000`; what is beyond ten thousand needs no figure."""
+    larger = max(of_change, 1.0 / max(of_change, 1e-300))
+    figure = f"{larger:.2g}" if larger < 100.0 else f"{larger:.0f}" if larger < 1e4 else "more than 10000"
+    return f"{figure} to 1" if of_change >= 1.0 else f"1 to {figure}"
 
 
 def row_covariance(observation: Observation) -> Array:

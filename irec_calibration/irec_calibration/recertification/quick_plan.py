@@ -32,7 +32,7 @@ class QuickPlan:
 
     Attributes:
         poses: pose numbers of the calibration session in the order of the visits, MOST_VISITS at the most.
-        power: change -> signal to noise ratio after the FIRST of them, at its size in `changes`.
+        power: change -> signal to noise ratio after all of them, at its size in `changes`.
         sizes: change -> multiple of that size at which it must be found: 1, or what those visits can show; never so much that
             it moves the tool by more than MOST of the tolerance.
         moved: change -> largest displacement of the observed point at its size in `changes`, m.
@@ -65,7 +65,7 @@ def plan(reference: Reference) -> QuickPlan:
         if power.worth(_with(without, best)) > 1.001 * power.worth(times):
             times, order[place] = _with(without, best), best
     moved = {c.name: float(np.linalg.norm(c.displacement, axis=1).max()) for c in reference.changes}
-    after = np.sqrt(power.of(np.bincount(order[:FIRST], minlength=power.poses)))
+    after = np.sqrt(power.of(times))
     seen = {c.name: float(a) for c, a in zip(reference.changes, after, strict=True)}
     share = {n: m / reference.tolerance for n, m in moved.items()}
     largest = {n: 1.0 if s > MATTERS else MOST / s for n, s in share.items()}

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..recertification.flow import Outcome
+from ..recertification.quick_check import odds_text
 from ..recertification.readings import MANNED
 from ..recertification.request import Place
 from ..recertification.store import Store
@@ -66,8 +67,8 @@ def _quick_rows(outcome: Outcome) -> list[tuple[str, str]]:
     if q is None or p is None:
         return []
     words = {"pass": "passed", "changed": "the robot has changed", "undecided": "not decided"}[q.decision]
-    odds = f"{q.e_value:.2g}" if q.e_value < 1e4 else "more than 10000"
-    rows = [("Quick check", f"{words}, after {q.poses} visits; odds that the robot has changed {odds} to 1 (alarm at 50 to 1)")]
+    odds = f"odds that the robot has changed {odds_text(q.e_value)} (alarm at 50 to 1)"
+    rows = [("Quick check", f"{words}, after {q.poses} visits; {odds}")]
     if q.like:
         rows.append(("It looks like", " or ".join(q.words[n] for n in q.like[:3])))
     if q.decision == "pass":

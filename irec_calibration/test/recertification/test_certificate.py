@@ -12,6 +12,7 @@ from irec_calibration.errors import IrecError
 from irec_calibration.identification.validation import ESTIMATOR
 from irec_calibration.model.file import load_model
 from irec_calibration.recertification.flow import Outcome, recertify
+from irec_calibration.recertification.quick_check import odds_text
 from irec_calibration.recertification.request import Request
 from irec_calibration.recertification.store import Store
 from irec_calibration.report.certificate import write_certificate
@@ -80,3 +81,11 @@ def test_a_history_of_nothing_is_refused_in_one_line() -> None:
 
     with pytest.raises(IrecError, match="name a cell file or a model"):
         history.run(argparse.Namespace(what="/nowhere", folder="x", output=None, json=False))
+
+
+@pytest.mark.parametrize(("of_change", "words"), [
+    (120.4, "120 to 1"), (7.25, "7.2 to 1"), (1.0, "1 to 1"), (1 / 3000, "1 to 3000"), (0.0, "1 to more than 10000"),
+    (1e9, "more than 10000 to 1"),
+])  # fmt: skip
+def test_odds_are_whole_numbers_on_one_side(of_change: float, words: str) -> None:
+    assert odds_text(of_change) == words

@@ -18,6 +18,7 @@ from irec_calibration.recertification.quick_check import (
     Reference,
     check,
     reference_of,
+    signal_to_noise,
 )
 from irec_calibration.recertification.quick_plan import MATTERS, MOST, SEEN_WELL, QuickPlan, _Power, plan
 from irec_calibration.recertification.station import with_stations_found
@@ -148,3 +149,17 @@ def test_a_station_that_was_put_up_anew_is_found_and_told() -> None:
 def test_a_station_that_sees_one_pose_only_keeps_its_stated_pose() -> None:
     session = synthetic.session(12, 4).select_poses([1])
     assert with_stations_found(session).stations == session.stations
+
+
+@pytest.mark.parametrize("axis", [2, 3])
+def test_what_the_best_test_sees_of_a_change_is_what_the_plan_reckons_with(axis: int) -> None:
+    ref, q = reference()
+    chosen = plan_of(ref)
+    visits = q[[p - 1 for p in chosen.poses]]
+    session, softened = (synthetic.session(len(visits), 7, q_of_poses=visits, compliance=softer(axis, f)) for f in (1.0, 1.1))
+    moved = (softened.p_marker_in_station - session.p_marker_in_station) @ session.stations[0].R_in_base.T
+    rows = moved[session.load_case != 0]
+    seen = signal_to_noise(ref, session, rows)
+    assert seen == pytest.approx(chosen.power[f"axis {axis}: 10 % softer"], rel=0.25)
+    assert signal_to_noise(ref, session, rows, repeats=4.0) > seen
+    assert signal_to_noise(ref, session, 2.0 * rows) == pytest.approx(2.0 * seen)
