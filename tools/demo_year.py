@@ -23,6 +23,7 @@ from demo import D_MAX, ROOT, guarded
 from irec_calibration.cell import read_cell
 from irec_calibration.poses.plan import make_plan, pose_list
 from irec_calibration.poses.store import write_poses
+from irec_calibration.recertification.preconditions import FAILS, HOLDS, told_lines
 from irec_calibration.recertification.run_state import interrupted
 from irec_calibration.recertification.store import Store
 from irec_calibration.recertification.trend import trend
@@ -40,6 +41,8 @@ DONE = "years.json"
 MAX_LEAD = 0.1  # s of the cell's clock that it may be ahead of who listens; the correction does not move anything here
 RATES = {"clock": 50.0, "joint_states": 50.0, "tcp_pose": 50.0, "wrench": 125.0, "wrench_raw": 0.0, "tracker": 62.5}  # Hz
 REFERENCE_DISTANCE = 0.008  # m
+WAYS = {"home_speed": 1.0, "linear_speed": 0.5}  # between the poses: nobody stands beside a simulated robot
+TICKS = 50.0  # Hz, of a correction that has nothing to correct
 N_POSES, POOL, SEED = 18, 1500, 1  # of the plan; fewer poses than `make demo`, since they are measured three times
 AXIAL = [2.2e-7, 2.0e-7, 2.5e-7, 1.2e-6, 1.3e-6, 2.1e-6]  # rad/(N m), of the simulated robot when it was new
 LOOSE = {"per_translation": [1.6e-9, 1.6e-9, 2.2e-9], "per_rotation": [4.0e-8, 4.0e-8, 4.0e-8]}
@@ -90,6 +93,7 @@ def _run(args: argparse.Namespace) -> bool:
         shutil.rmtree(out, ignore_errors=True)
         out.mkdir(parents=True)
         content = _absolute(nominal)
+        content["procedure"].update(WAYS)
         content["reference_distance"] = REFERENCE_DISTANCE  # a robot with a loose base sags by more than that of the cell file
         args.cell.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         progress.stage("plan", f"planning {N_POSES} engagement poses")
@@ -101,7 +105,7 @@ def _run(args: argparse.Namespace) -> bool:
             "calibration", "irec_calibration.nodes.calibration_node", {"cell": str(args.cell), "calibration_folder": folder}
         )
         # it takes models into force; there is nothing to correct, and readings of a cell that is faster than real time cost time
-        settings: dict[str, object] = {"cell": str(args.cell), "use_sim_time": True}
+        settings: dict[str, object] = {"cell": str(args.cell), "use_sim_time": True, "rate": TICKS}
         office.start("correction", "irec_correction.nodes.correction_node", settings, {"wrench": "wrench_of_no_process"})
         operator = None
         resume = bool(rows) and bool(interrupted(Store(out / "calibrations", read_cell(args.cell).serial)))
@@ -187,7 +191,14 @@ def _recertify(operator: Operator, progress: Progress, out: Path, year: Year, re
             progress.say(f"{year.name}: {stage.replace('_', ' ')}")
             if stage == "judgement":
                 operator.set_speed(IDLE_SPEED)
-        progress.update(f"{year.name}: {f.message}")
+        if told := told_lines(f.message):
+            wrong = [line for line in told if line.startswith(FAILS)]
+            names = ", ".join(line.removeprefix(HOLDS).partition(":")[0] for line in told if line not in wrong)
+            progress.say(f"{year.name}: as they have to be: {names}")
+            for line in wrong:
+                progress.say(f"{year.name}: {line}")
+        else:
+            progress.update(f"{year.name}: {f.message}")
 
     goal = Recertify.Goal(operator_name="M. Muster", confirmed=["area", "disc", "tool"], poses_path=str(out / "poses.yaml"))
     goal.resume = resume
