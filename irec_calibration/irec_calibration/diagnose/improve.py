@@ -111,9 +111,11 @@ def improve(
     for n, effect in enumerate(added.ids, start=1):
         check()
         is_last = n == len(added.ids)
-        one = shown.after if is_last else validated(session, [*base, *added.added[:n]])
+        one = (shown.without_form or shown.after) if is_last else validated(session, [*base, *added.added[:n]])
         evidence = assessment.built.evidence.get(effect, float("nan"))
         rungs.append(_rung(one, effect, evidence, rungs[-1].model, assessment.parts if is_last else {}))
+    if shown.without_form is not None:
+        rungs.append(_rung(shown.after, "+".join(shown.form), shown.form_evidence, rungs[-1].model, assessment.parts))
     readings = assessment.readings
     if assessment.weight_wrong and readings is not None and READ_AT_REFERENCES.id not in rungs[-1].effects:
         term = next(c.term for c in before.candidates if c.effect == READ_AT_REFERENCES.id)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from ..session.data import Session
 from .assessment import Assessment
 from .held_out import Validated, validated
-from .study import form_evidence
+from .study import form_evidence, study_of
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,9 @@ class Shown:
     Attributes:
         asked: as it was asked about.
         form: ids of effects that complete the form of its springs; completed: with them, None where they earn nothing here.
-        form_evidence: log evidence for them. after: with every effect that was added, too; the best of the others where none was.
+        form_evidence: log evidence for them, beside the effects that were added where these hide it.
+        after: with every effect that was added, too; the best of the others where none was.
+        without_form: `after` without the form, where that earns something only beside the added effects; else None.
     """
 
     asked: Validated
@@ -31,6 +33,7 @@ class Shown:
     form_evidence: float
     completed: Validated | None
     after: Validated
+    without_form: Validated | None = None
 
 
 def shown_of(session: Session, asked: Validated, assessment: Assessment, check: Callable[[], None]) -> Shown:
@@ -47,9 +50,21 @@ def shown_of(session: Session, asked: Validated, assessment: Assessment, check: 
         whole = validated(session, start.terms)
         completed = whole if whole.held_out.rms_m < asked.held_out.rms_m else None
         check()
-    after = completed or asked
-    if assessment.added:
-        kept = [t for t in assessment.study.terms if completed is not None or t.effect.id not in form]
-        after = validated(session, kept)
+    if not assessment.added:
+        return Shown(asked, form, odds, completed, completed or asked)
+    final = assessment.study
+    if completed is not None or not form:
+        after = validated(session, final.terms)
         check()
-    return Shown(asked, form, odds, completed, after)
+        return Shown(asked, form, odds, completed, after)
+    # what is missing in the model that was asked about may have hidden the form
+    bare = [t for t in final.terms if t.effect.id not in form]
+    without = validated(session, bare)
+    check()
+    beside = form_evidence(study_of(final.observation, bare), final)
+    if beside > 0.0:
+        whole = validated(session, final.terms)
+        check()
+        if whole.held_out.rms_m < without.held_out.rms_m:
+            return Shown(asked, form, beside, None, whole, without)
+    return Shown(asked, form, odds, None, without)

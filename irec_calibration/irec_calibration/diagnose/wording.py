@@ -133,10 +133,13 @@ def _noise(noise: InferredNoise) -> list[str]:
 
 def _form(shown: Shown) -> list[str]:
     """What completes the form of the model's springs, where the session shows it: no cause, but a better model."""
+    labels = " and ".join(find_effect(i).label for i in shown.form)
+    if shown.without_form is not None:
+        error = length(shown.without_form.held_out.rms_m)
+        return [f"Beside that the springs' {labels} matters: without it that error would be {error}."]
     if shown.completed is None:
         return []
     before, after = shown.asked.held_out.rms_m, shown.completed.held_out.rms_m
-    labels = " and ".join(find_effect(i).label for i in shown.form)
     return [f"The springs' {labels} matters too: with it the error on held-out poses is {length(after)} for {length(before)}."]
 
 

@@ -245,6 +245,23 @@ def test_improve_adds_what_is_missing_and_stops() -> None:
     assert [h["change"] for h in ladder.model.history] == ["start", "added joint_backlash"]
 
 
+def test_the_place_of_bending_that_a_missing_effect_hid_is_found_beside_it() -> None:
+    place = find_effect("bending_place")
+
+    def hidden(scene: Scene) -> Array:
+        off = [1.2 * p.scale * (-1) ** (i + 1) for i, p in enumerate(place.parameters(scene))]
+        angle = np.zeros_like(scene.tau)
+        angle[:, 3] = 1e-3 * np.tanh((scene.tau[:, 3] + scene.tau_gravity[:, 3]) / 4.0)
+        return turned(scene, angle) + place.displacement(scene, np.array(off))
+
+    found = improve(synthetic.session(poses=20, seed=5, extra=hidden))
+    assert [r.added for r in found.rungs] == ["", "joint_backlash", "bending_place"]
+    assert found.rungs[2].cv_rms_m < found.rungs[1].cv_rms_m
+    assert found.rungs[2].parts == found.rungs[1].parts
+    assert found.before.cv_rms_after_m == found.rungs[2].cv_rms_m
+    assert "Beside that the springs' place of bending matters" in found.before.verdict.text
+
+
 def test_a_model_with_a_part_of_an_effect_survives_its_file_and_a_refit(tmp_path) -> None:
     new, _, _ = add_effect(model(), find_effect("joint_backlash"), session(play_of_axis_4))
     again = load_model(save_model(new, tmp_path / "m.yaml"))
