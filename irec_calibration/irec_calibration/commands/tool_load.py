@@ -159,6 +159,7 @@ def _as_dict(fit: ToolLoadFit) -> dict[str, Any]:
 def parameter_file(load: ToolLoad, names: Iterable[str]) -> str:
     """Text of a parameter file with these fields of a tool load, for whoever takes raw readings: the correction or a driver."""
     values = {k: list(v) if isinstance(v, tuple) else v for k, v in ((n, getattr(load, n)) for n in names)}
-    raw = {"ros__parameters": {"raw_wrench": True}}  # a driver removes the weight from readings that are raw anyway
-    tree = {"/**": {"ros__parameters": {"tool_load": values}}, "/**/correction_node": raw, "/**/rsi_bridge": dict(raw)}
+    tree: dict[str, Any] = {"/**": {"ros__parameters": {"tool_load": values}}}
+    for node in ("correction_node", "rsi_bridge"):  # a driver removes the weight from readings that are raw anyway
+        tree[f"/**/{node}"] = {"ros__parameters": {"raw_wrench": True}}  # each its own: rcl refuses aliases of YAML
     return "# Identified by irec tool-load: kg, m, N, N m, rad\n" + yaml.safe_dump(tree, sort_keys=False)
