@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import secrets
 import sys
 import threading
 import time
 from typing import Any
 
-from irec_ros.diagnostics import ERROR, OK, WARN, Diagnostics, status
 from irec_ros.guard import Guarded
 from irec_ros.parameters import P, Parameters
 from irec_ros.startup import refuse_unknown_parameters, run_process, spin_until
@@ -18,12 +16,10 @@ from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from irec_msgs.action import RunProcedure
-from irec_msgs.msg import LoadCaseRecord, ProcedureStatus, RobotState
+from irec_msgs.msg import RobotState
 
 from ..cell import read_cell
 from ..errors import CellError, IrecError
@@ -34,27 +30,23 @@ from ..procedure.settings import read_settings
 from ..procedure.standstill import Streams
 from .correction_watch import CorrectionWatch
 from .instruments import Instruments
-from .procedure_run import ProcedureRun, event_text
+from .procedure_reports import ProcedureReports
+from .procedure_run import ProcedureRun
+from .procedure_start import StartCheck
 from .robot_link import RobotLink
 
 STEP_PERIOD = 0.01  # s of the machine's clock between looks at the readings
 STEP_CELL = 0.02  # s of the cell's clock after which a wrench makes a look, where the cell is faster than real time
 STATUS_PERIOD = 0.5  # s of the machine's clock
-DISCOVERY = 0.5  # s of the machine's clock for another procedure on this graph to be seen
-ROBOT_WAIT = 15.0  # s of the machine's clock that the robot's driver may take to appear
-RIVAL_WAIT = 25.0  # s that another procedure may take to disappear; DDS takes 20 s to forget one that was killed
 SHUTDOWN_WAIT = 30.0  # s of the machine's clock for the robot to leave the contact when the node is stopped
 ANSWER_TIME = 0.5  # s after that, in which whoever asked for the run gets the answer
 MOST_ERRORS = 3  # unexpected errors one after the other, after which the run is given up
-LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-EVENTS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 PARAMETERS = (
     P("cell", "", "cell file (irec-cell/1)"),
     P("autostart", True, "active at once; false: wait for the lifecycle services"),
     P("session_folder", "sessions", "folder for recordings"),
     P("order_seed", -1, "draws the order of the load cases; -1: another one in each run, recorded with it", -1, 2**31 - 1),
 )
-SILENT = {"force": "wrench", "joints": "joint_states", "TCP": "tcp_pose"}
 
 
 class ProcedureNode(Guarded, LifecycleNode):
@@ -74,12 +66,9 @@ class ProcedureNode(Guarded, LifecycleNode):
         axes = read_axes(self.cell)
         self._inputs = Inputs(Streams(5.0 + self.settings.window_s), axes, [station.name for station in self.cell.stations])
         self._link = RobotLink(self, axes)
-        self._correction = CorrectionWatch(self)
+        self._starting = StartCheck(self._link, self._inputs, CorrectionWatch(self))
         self._instruments = Instruments(self, self._inputs, self._on_robot_state, self._keep_up)
-        self._status = self.create_publisher(ProcedureStatus, "irec/procedure/status", LATCHED)
-        self._rows = self.create_publisher(LoadCaseRecord, "irec/procedure/load_case", EVENTS)
-        self._events = self.create_publisher(String, "irec/procedure/event", EVENTS)
-        self._health = Diagnostics(self)
+        self._reports = ProcedureReports(self, self.cell.serial)
         self.create_service(Trigger, "irec/procedure/pause", self._on_pause)
         self.create_service(Trigger, "irec/procedure/resume", self._on_resume)
         self._action = ActionServer(
@@ -95,16 +84,13 @@ class ProcedureNode(Guarded, LifecycleNode):
         forward, back = Duration(seconds=SLACK), Duration(seconds=-STEP_BACK)
         threshold = JumpThreshold(min_forward=forward, min_backward=back, on_clock_change=False)
         self._jumps = self.get_clock().create_jump_callback(threshold, post_callback=self._on_jump)
-        self._robot_state: RobotState | None = None
         self._run: ProcedureRun | None = None
         self._goal: Any = None
         self._busy = False
         self._answer = RunProcedure.Result()
-        self._begun = self._stepped = 0.0
+        self._stepped = 0.0
         self._errors_in_a_row = 0
         self._last_state = ""
-        self._before: dict[str, int] = {}  # readings of each stream when the run was asked for
-        self._robot_told = False  # robot/state has come since then
         self._active = False
         if self.parameters["autostart"]:
             self.trigger_configure()
@@ -160,14 +146,13 @@ class ProcedureNode(Guarded, LifecycleNode):
 
     def _begin(self, goal: Any) -> None:
         """Start a run. The goal is executed when the run has ended: an executor polls a callback that waits."""
-        self._goal, self._begun, self._errors_in_a_row = goal, time.monotonic(), 0
-        self._before, self._robot_told = dict(self._inputs.streams.counts), False
+        self._goal, self._errors_in_a_row = goal, 0
+        self._starting.run_asked_for()
         values = {name: self.parameters[name] for name in (p.name for p in PARAMETERS)}
-        seed = values["order_seed"] if values["order_seed"] >= 0 else secrets.randbelow(2**31)
         simulated = bool(self.get_parameter("use_sim_time").value)
         try:
             self._run = run = ProcedureRun(
-                goal.request, self.cell, self.settings, values, seed, self._instruments, self._link, simulated
+                goal.request, self.cell, self.settings, values, self._instruments, self._link, simulated
             )
         except IrecError as error:
             self.get_logger().error(str(error))
@@ -218,19 +203,14 @@ class ProcedureNode(Guarded, LifecycleNode):
             return
         self._stepped = now
         procedure = run.procedure
-        if procedure.state == "idle" and not procedure.stopped_because and not self._robot_is_ready(run):
+        if procedure.state == "idle" and not procedure.stopped_because and not self._may_begin(run):
             return
         if self._goal is not None and self._goal.is_cancel_requested:
             procedure.stop("cancelled by the operator")
-        elif corrected := self._correction.problem(self._robot_state):
+        elif corrected := self._starting.correction:
             procedure.stop(corrected)
         rows, events = run.step(now, time.monotonic())
-        for row in rows:
-            self._rows.publish(row)
-        for event in events:
-            self._events.publish(String(data=event_text(event)))
-            if event.kind in ("skipped", "rejected", "stopped"):
-                self.get_logger().warning(f"{event.kind}: pose {event.pose}, load case {event.load_case}: {event.text}")
+        self._reports.happened(rows, events)
         self._errors_in_a_row = 0
         if procedure.state != self._last_state:
             self._last_state = procedure.state
@@ -249,32 +229,19 @@ class ProcedureNode(Guarded, LifecycleNode):
             self._link.leave_contact()
             self._finish(run.result())
 
-    def _robot_is_ready(self, run: ProcedureRun) -> bool:
-        """Start once driver and readings are there; give up after ROBOT_WAIT."""
-        procedure, waited = run.procedure, time.monotonic() - self._begun
-        missing = [self._link.missing] if self._link.missing else []
-        if not self._robot_told:
-            missing.append("topic robot/state")
-        # readings from before the run may be of a driver that has ended since
-        counts = self._inputs.streams.counts
-        missing += [f"readings on {topic}" for stream, topic in SILENT.items() if counts[stream] == self._before[stream]]
-        rivals = self._link.rivals
-        if problem := self._inputs.problem or self._correction.problem(self._robot_state):
-            procedure.stop(problem)
-        elif missing:
-            procedure.message = f"waits for {', '.join(missing)}"
-            if waited > ROBOT_WAIT:
-                procedure.stop(f"the robot's driver does not offer {', '.join(missing)} after {ROBOT_WAIT:g} s; start it")
-        elif rivals:
-            procedure.message = f"{rivals}: another procedure may be driving this robot; end it"
-            if waited > RIVAL_WAIT:
-                procedure.stop(procedure.message)
-        elif waited > DISCOVERY:
+    def _may_begin(self, run: ProcedureRun) -> bool:
+        """Begin once driver and readings are there; False while it waits for them."""
+        procedure, now = run.procedure, self._starting.look()
+        if now.waits:
+            procedure.message = now.waits
+        if now.stop:
+            procedure.stop(now.stop)
+        elif now.begin:
             run.start(self._now)
         return procedure.started or bool(procedure.stopped_because)
 
     def _on_robot_state(self, state: RobotState) -> None:
-        self._robot_state, self._robot_told = state, True
+        self._starting.robot_said(state)
         if self._run is not None:
             self._run.procedure.watch.robot_said(int(state.mode), bool(state.retreating), state.message)
             if state.mode == RobotState.MODE_FAULT:
@@ -283,20 +250,7 @@ class ProcedureNode(Guarded, LifecycleNode):
     def _report(self) -> None:
         """Publish status, feedback and diagnostics."""
         self._instruments.find_temperatures()
-        message = ProcedureStatus(state="idle")
-        message.header.stamp, message.header.frame_id = self.get_clock().now().to_msg(), "base_link"
-        level, text = OK, "no run"
-        if self._run is not None:
-            self._run.fill(message)
-            text = message.message or message.state
-            level = ERROR if self._run.procedure.stopped_because else WARN if message.paused else OK
-        elif not self._answer.success and self._answer.message:
-            level, text = WARN, f"the last run: {self._answer.message}"
-        self._status.publish(message)
-        self._health.publish(
-            status(self, "procedure", level, text, {"state": message.state, "pose": f"{message.pose} of {message.poses}"},
-                   self.cell.serial)
-        )  # fmt: skip
+        message = self._reports.tell(self._run, "" if self._answer.success else self._answer.message)
         if self._goal is not None and self._run is not None and self._goal.is_active:
             self._goal.publish_feedback(self._run.feedback(message))
 

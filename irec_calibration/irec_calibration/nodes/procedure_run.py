@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import secrets
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -37,7 +38,7 @@ class ProcedureRun:
     """
 
     def __init__(
-        self, request: RunProcedure.Goal, cell: Cell, settings: Settings, parameters: dict[str, Any], order_seed: int,
+        self, request: RunProcedure.Goal, cell: Cell, settings: Settings, parameters: dict[str, Any],
         instruments: Instruments, link: RobotLink, simulated: bool,
     ) -> None:  # fmt: skip
         if request.repeats > MOST_REPEATS:
@@ -49,7 +50,8 @@ class ProcedureRun:
         targets = plan_targets(cell, settings, np.array([p.q for p in poses]), rails, [p.index for p in poses])
         folder = Path(parameters["session_folder"])
         path = Path(request.session_path) if request.session_path else _new_path(folder, cell, link.namespace)
-        self.recorder = SessionRecorder(path, cell, parameters, resume=request.resume, order_seed=order_seed)
+        seed = parameters["order_seed"] if parameters["order_seed"] >= 0 else secrets.randbelow(2**31)
+        self.recorder = SessionRecorder(path, cell, parameters, resume=request.resume, order_seed=seed)
         self.procedure = Procedure(
             targets, cell.forces_in_tool, cell.home, settings, instruments.inputs.streams,
             {station.name: station.R_in_cell for station in cell.stations},

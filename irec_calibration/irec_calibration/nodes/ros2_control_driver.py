@@ -11,36 +11,31 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, TransformStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from irec_ros.diagnostics import ERROR, OK, WARN, Diagnostics, status
 from irec_ros.guard import GuardedNode
-from irec_ros.moves import answer_move
 from irec_ros.parameters import P, Parameters
 from irec_ros.startup import refuse_unknown_parameters, run_node
-from rclpy.action import ActionServer, CancelResponse
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, String
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from irec_msgs.action import Move
 from irec_msgs.msg import RobotState
-from irec_msgs.srv import SetControlMode
 
 from ..cell import read_cell
-from ..drivers.moves import MoveError, Planner
-from ..drivers.position_robot import FAULT, FORCE, Order, PositionRobot, Settings
+from ..drivers.moves import Planner
+from ..drivers.position_robot import FAULT, PositionRobot, Settings
 from ..drivers.wrench import ProcessWrench
 from ..errors import CellError, IrecError
 from ..procedure.axes import read_axes
 from ..sensors.tool_load import ToolLoad
+from .driver_commands import DriverCommands
 from .rows import vector
 
 SILENCE = 0.5  # s without joint states, after which the robot is in fault; of the cell's clock where time is simulated
@@ -100,7 +95,6 @@ class Ros2ControlDriver(GuardedNode):
         self._wrench: tuple[float, np.ndarray] | None = None
         self._places: tuple[list[str], list[int]] = ([], [])
         self._last_state: tuple[Any, ...] = ()
-        self._outcome: dict[bytes, tuple[float, str]] = {}
         self._health = Diagnostics(self)
         self._trajectory = self.create_publisher(JointTrajectory, p["trajectory_topic"], 10)
         self._point = JointTrajectory(joint_names=list(self._axes.driver), points=[JointTrajectoryPoint()])
@@ -113,14 +107,9 @@ class Ros2ControlDriver(GuardedNode):
         self._described.publish(String(data=self.cell.robot.urdf_text))
         self.create_subscription(JointState, "joint_states", self._on_joints, EITHER)
         self.create_subscription(WrenchStamped, p["sensor_topic"], self._on_sensor, EITHER)
-        self.create_subscription(WrenchStamped, "robot/force_setpoint", self._on_force, 10)
-        self.create_subscription(TransformStamped, "irec/offset", self._on_offset, 10)
-        self.create_service(SetControlMode, "robot/set_control_mode", self._on_mode)
-        self.create_service(Trigger, "robot/clear_fault", self._on_clear)
-        self._action = ActionServer(
-            self, Move, "robot/move", execute_callback=self.guarded("action robot/move", self._answer_move),
-            handle_accepted_callback=self.guarded("goal of robot/move", self._accepted),
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        self._commands = DriverCommands(
+            self, self._robot, self._planner, lambda: self._now, lambda: self._wrench is not None,
+            lambda: self._publish_state(self._now),
         )  # fmt: skip
         self.create_timer(0.1, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -206,96 +195,6 @@ class Ros2ControlDriver(GuardedNode):
         mode = ("position", "force", "fault")[r.mode]
         values = {"mode": mode, "expired force leases": r.expired, "late offsets": r.late_offsets}
         self._health.publish(status(self, "robot", level, r.message or "as asked", values, self.cell.serial))
-
-    # --- to the robot -------------------------------------------------------------------------------------------------
-
-    def _accepted(self, handle: Any) -> None:
-        def ended(fraction: float, problem: str) -> None:
-            self._outcome[bytes(handle.goal_id.uuid)] = fraction, problem
-            handle.execute()
-
-        told = [-1.0]
-
-        def feedback(fraction: float) -> None:
-            if self._now - told[0] > 0.1:
-                told[0] = self._now
-                handle.publish_feedback(Move.Feedback(fraction=float(fraction)))
-
-        try:
-            self._robot.refuse_unless_free()
-            goal: Move.Goal = handle.request
-            start = self._robot.commanded
-            if goal.kind == Move.Goal.JOINT:
-                if len(goal.joint_names) != len(goal.joint_position):
-                    raise MoveError(f"{len(goal.joint_names)} joint names with {len(goal.joint_position)} positions")
-                wanted = dict(zip(goal.joint_names, goal.joint_position, strict=True))
-                motion = self._planner.joint(start, wanted, goal.speed)
-            elif goal.kind == Move.Goal.LINEAR:
-                p, o = goal.pose.position, goal.pose.orientation
-                motion = self._planner.linear(start, np.array([p.x, p.y, p.z]), (o.x, o.y, o.z, o.w), goal.speed)
-            else:
-                raise MoveError(f"kind of move {goal.kind} is not known; 0 is JOINT, 1 is LINEAR")
-            self._robot.begin(Order(motion, lambda: bool(handle.is_cancel_requested), feedback, ended), self._now)
-        except MoveError as error:
-            ended(0.0, str(error))
-
-    def _answer_move(self, handle: Any) -> Move.Result:
-        return answer_move(handle, *self._outcome.pop(bytes(handle.goal_id.uuid)))
-
-    def _on_mode(self, request: SetControlMode.Request, response: SetControlMode.Response) -> SetControlMode.Response:
-        f = request.force_in_tool
-
-        def switch() -> None:
-            if request.mode not in (SetControlMode.Request.POSITION, SetControlMode.Request.FORCE):
-                raise MoveError(f"control mode {request.mode} is not known; 0 is POSITION, 1 is FORCE")
-            force = request.mode == SetControlMode.Request.FORCE
-            if force and self._wrench is None:
-                raise MoveError("the force sensor has not sent anything yet")
-            self._robot.switch(force, (f.x, f.y, f.z), self._now)
-
-        response.force_lease, response.retract_distance = self._robot.settings.lease, self._robot.settings.retract
-        response.success, response.message = self._try(switch)
-        self._publish_state(self._now)
-        return response
-
-    @staticmethod
-    def _try(action: Callable[[], None]) -> tuple[bool, str]:
-        try:
-            action()
-        except MoveError as error:
-            return False, str(error)
-        return True, ""
-
-    def _on_force(self, m: WrenchStamped) -> None:
-        f = m.wrench.force
-        if m.header.frame_id != "tool0":
-            problem = f"its frame is '{m.header.frame_id}', tool0 is needed"
-        elif self._robot.mode != FORCE:
-            problem = "the robot is not in force control"
-        else:
-            _, problem = self._try(lambda: self._robot.set_force((f.x, f.y, f.z), self._now))
-        if problem:
-            self.get_logger().warning(f"force set point ignored: {problem}", throttle_duration_sec=5.0)
-
-    def _on_offset(self, m: TransformStamped) -> None:
-        t, r = m.transform.translation, m.transform.rotation
-        quat = np.array([r.x, r.y, r.z, r.w])
-        problem = ""
-        if m.header.frame_id != "base_link" or m.child_frame_id != "tool0":
-            problem = f"its frames are '{m.header.frame_id}' and '{m.child_frame_id}', base_link and tool0 are needed"
-        elif not abs(float(np.linalg.norm(quat)) - 1.0) <= 1e-3:
-            problem = f"its rotation {quat} is no unit quaternion"
-        else:
-            turn = Rotation.from_quat(quat).as_rotvec()
-            _, problem = self._try(lambda: self._robot.set_offset((t.x, t.y, t.z), turn.tolist(), self._now))
-        if problem:
-            self.get_logger().warning(f"offset ignored: {problem}", throttle_duration_sec=5.0)
-
-    def _on_clear(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        was = self._robot.message
-        self._robot.clear_fault()
-        response.success, response.message = True, f"position control; it was: {was or 'no fault'}"
-        return response
 
 
 def main() -> int:

@@ -26,10 +26,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from irec_msgs.srv import ActivateModel
 
 from ..errors import SettingsError
-from ..rsi.bridge import BridgeSetup
-from ..rsi.loop import Link
 from ..rsi.report import KEPT, REPORT_SIZE
-from ..rsi.sources import ChainSettings
 from ..shared import SharedValues
 from ..state import State
 from ..watchdog import Fault, Finding
@@ -39,6 +36,7 @@ from .managed import Managed, run_managed
 from .model_checks import Mounted, calibration_in_force, read_checked
 from .rsi_inputs import RsiInputs
 from .rsi_monitor import MONITOR_RATE, RsiMonitor
+from .rsi_setup import bridge_setup
 
 IN_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 ANSWER_WAIT = 2.0  # s for the loop to carry out a command
@@ -136,64 +134,19 @@ class RsiNode(Managed):
 
     def _begin(self) -> None:
         """Send the setup. Raises SettingsError where the loop can't begin."""
-        p = self._p
-        source = str(p["source"])
-        if source not in ("chain", "offset_topic"):
-            raise SettingsError(f"parameter 'source' is '{source}'; chain or offset_topic is possible")
-        if p["cycle_ms"] not in (4, 12):
-            raise SettingsError(f"parameter 'cycle_ms' is {p['cycle_ms']}; 4 (IPO_FAST) or 12 (IPO) is possible")
-        period = 1e-3 * p["cycle_ms"]  # parameter 'rate' is that of correction_node
-        frame = str(p["sensor_frame"]) if p["raw_wrench"] else "tool0"
-        settings = replace(parameters.correction_settings(p, frame), period=period)
-        filters = parameters.filter_settings(p)
-        if filters.rate > 1.0 / period:  # one reading per cycle goes through the chain, the newest
-            self.get_logger().info(f"filters act at {1.0 / period:g} Hz, the rate of RSI, not at wrench_rate {filters.rate:g} Hz")
-            if len(filters.taps) != 1:
-                raise SettingsError(
-                    f"filter.taps are for wrench_rate {filters.rate:g} Hz; RSI passes {1.0 / period:g} readings a second:"
-                    " design the filter for that rate and set wrench_rate to it"
-                )
-            filters = replace(filters, rate=1.0 / period)
-        chain = None
-        if source == "chain":
-            chain = ChainSettings(
-                correction=settings,
-                filters=filters,
-                urdf_text=self._cell.robot.urdf_text,
-                wrench_block=str(p["wrench_block"]) or self._inputs.wrench.name,
-                raw=bool(p["raw_wrench"]),
-                sensor_frame=str(p["sensor_frame"]),
-                load=parameters.tool_load(p),
-                cable=parameters.cable(p),
-                gravity=p.three("gravity"),
-                payload=self._cell.payload,
-                profile=parameters.profile(p, self._cell.robot),
-                preview_lead=p["preview.lead"],
-            )
-        link = Link(str(p["address"]), int(p["port"]), str(p["peer"]), str(p["sentype"]))
-        self._pipe.send(
-            BridgeSetup(
-                link,
-                settings,
-                self._report.name,
-                self._latency.name,
-                chain,
-                self._inputs.offset.name,
-                float(p["offset_timeout"]),
-                int(p["cycle_ms"]),
-                int(p["realtime_priority"]),
-                int(p["realtime_processor"]),
-            )  # fmt: skip
-        )
+        setup = bridge_setup(
+            self._p, self._cell, self._report.name, self._latency.name, self._inputs, self.get_logger().info
+        )  # fmt: skip
+        self._pipe.send(setup)
         kind, content = self._pipe.recv()
-        while kind not in ("ready", "failed"):  # the last words of a loop that was released may come first
+        while kind not in ("ready", "failed"):  # what a loop that was released still had to say may come first
             kind, content = self._pipe.recv()
         if kind == "failed":
             raise SettingsError(str(content))
         port, refused = content
         for text in refused:
             self.get_logger().warning(text)
-        self.get_logger().info(f"answering {link.peer} on {link.address}:{port}, offset from {source}")
+        self.get_logger().info(f"answering {setup.link.peer} on {setup.link.address}:{port}, offset from {self._p['source']}")
 
     def _create(self) -> None:
         p = self._p

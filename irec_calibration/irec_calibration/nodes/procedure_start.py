@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a run of Procedure 1 may begin: driver and readings are there, nothing corrects, and nobody else drives the robot."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from irec_msgs.msg import RobotState
+
+from ..procedure.inputs import Inputs
+from .correction_watch import CorrectionWatch
+from .robot_link import RobotLink
+
+DISCOVERY = 0.5  # s of the machine's clock for another procedure on this graph to be seen
+ROBOT_WAIT = 15.0  # s of the machine's clock that the robot's driver may take to appear
+RIVAL_WAIT = 25.0  # s that another procedure may take to disappear; DDS takes 20 s to forget one that was killed
+SILENT = {"force": "wrench", "joints": "joint_states", "TCP": "tcp_pose"}
+
+
+@dataclass(frozen=True)
+class Start:
+    """What is to be done now: begin, stop for this reason, or go on waiting for this."""
+
+    begin: bool = False
+    stop: str = ""
+    waits: str = ""
+
+
+class StartCheck:
+    """Asked again and again from when a run was asked for until it begins or is given up."""
+
+    def __init__(self, link: RobotLink, inputs: Inputs, correction: CorrectionWatch) -> None:
+        self._link, self._inputs, self._correction = link, inputs, correction
+        self._robot: RobotState | None = None
+        self._robot_told = False
+        self._asked = 0.0
+        self._before: dict[str, int] = {}
+
+    def run_asked_for(self) -> None:
+        """Only what comes from now on counts: what came before may be of a driver that has ended since."""
+        self._asked, self._robot_told = time.monotonic(), False
+        self._before = dict(self._inputs.streams.counts)
+
+    def robot_said(self, state: RobotState) -> None:
+        """robot/state has come."""
+        self._robot, self._robot_told = state, True
+
+    @property
+    def correction(self) -> str:
+        """Why nothing may be measured now as a correction is at work; empty where none is."""
+        return self._correction.problem(self._robot)
+
+    def look(self) -> Start:
+        """Give up after ROBOT_WAIT, or RIVAL_WAIT where somebody else drives this robot."""
+        waited = time.monotonic() - self._asked
+        missing = [self._link.missing] if self._link.missing else []
+        if not self._robot_told:
+            missing.append("topic robot/state")
+        counts = self._inputs.streams.counts
+        missing += [f"readings on {topic}" for stream, topic in SILENT.items() if counts[stream] == self._before[stream]]
+        rivals = self._link.rivals
+        if problem := self._inputs.problem or self.correction:
+            return Start(stop=problem)
+        if missing:
+            late = f"the robot's driver does not offer {', '.join(missing)} after {ROBOT_WAIT:g} s; start it"
+            return Start(stop=late if waited > ROBOT_WAIT else "", waits=f"waits for {', '.join(missing)}")
+        if rivals:
+            text = f"{rivals}: another procedure may be driving this robot; end it"
+            return Start(stop=text if waited > RIVAL_WAIT else "", waits=text)
+        return Start(begin=waited > DISCOVERY)
