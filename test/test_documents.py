@@ -82,6 +82,20 @@ def test_each_word_of_the_glossary_is_explained_once():
     assert len(words) == len(set(words)) > 50
 
 
+NOT_USED = ("structure without a name", "unnamed", "begun anew", "put_in_words", "AskedInVain", "LAST_WORDS", "FAREWELL")
+
+
+def test_words_that_the_glossary_replaced_have_not_come_back():
+    files = [
+        p for d in ("docs", *(d.name for d in ROOT.glob("irec_*"))) for p in (ROOT / d).rglob("*") if p.suffix in (".py", ".md")
+    ]
+    glossary = ROOT / "docs/glossary.md"
+    found = {
+        f"{p.relative_to(ROOT)}: {w}" for p in files if p != glossary for w in NOT_USED if w in p.read_text(encoding="utf-8")
+    }
+    assert found == set() and len(files) > 400
+
+
 @pytest.mark.parametrize("document", ["architecture", "commissioning", "paper-to-code", "glossary", "adding-an-effect"])
 def test_links_of_a_document_lead_somewhere(document):
     path = ROOT / "docs" / f"{document}.md"

@@ -13,7 +13,9 @@ from chain import PERIOD
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_correction.limits import OffsetLimiter, OffsetLimits
-from irec_correction.rsi.sequence import CONFIRM, REFUSED, RESTART, per_answer
+from irec_correction.rsi.answers import per_answer
+from irec_correction.rsi.complaints import REFUSED
+from irec_correction.rsi.sequence import CONFIRM, RESTART
 from irec_correction.rsi.session import RsiSession
 from irec_correction.state import State
 

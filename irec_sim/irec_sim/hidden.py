@@ -75,7 +75,7 @@ def draw_session(case: Case, seed: int, poses: int, validation_poses: int, cells
     for attempt in range(4):
         drawn = _draw(case, seed + 7919 * attempt, poses, validation_poses, cells)
         if case.kind != "outside" or any(s.visible for s in drawn.oracle.seen):
-            break  # a cause without a name that nobody could see would say nothing
+            break  # a cause outside the catalogue that nobody could see would say nothing
     return drawn
 
 

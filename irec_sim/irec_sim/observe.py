@@ -184,7 +184,7 @@ def arrived(q: Array) -> Array:
 
 def conditions_at(schedule: Schedule, j: int, base_in_cell: Array, force_in_tool: Array) -> Conditions:
     """What acts on the arm in row j of every pose but for the process force in base_link; force_in_tool (N, 3) is for causes
-    without a name that follow it."""
+    outside the catalogue that follow it."""
     N = len(force_in_tool)
     known = {f"force_{a}": force_in_tool[:, i] for i, a in enumerate("xyz")}
     known |= {"side": np.linalg.norm(force_in_tool[:, :2], axis=1)}

@@ -15,11 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from .kinematics import Array, forward
+from .kinematics import Array
 from .mishaps import spoiled_rows
-from .observe import arrived, conditions_at
-from .plant import Conditions, Frames, Plant, State
-from .sensing import SensingParameters, beyond_reported, drift_at, motor_angles, tracker_reading, true_force
+from .replay import STEP, Replay, since_reference
 from .session import Generated
 from .truth import EFFECTS, Hidden, Truth
 from .truth_catalogue import Physics
@@ -27,7 +25,6 @@ from .truth_catalogue import Physics
 NATS_VISIBLE = 12.0  # log odds that a name needs (6.5) after choosing among some 300 alternatives (5.7)
 _FIXED = {"station_shift": ("share", "time", "station"), "thermal_drift": ("kind",)}
 _COMPLIANCE_WIDTH = 1.0  # of the weak prior on each compliance, relative
-_STEP = 1e-3  # of a finite difference, in widths
 _EFFECT_WIDTH = 3.0  # on each parameter of an effect, times the RMS of its group
 
 
@@ -60,130 +57,6 @@ class Oracle:
         }  # fmt: skip
 
 
-class Replay:
-    """The rows of one pass again under other physics, at the joint angles and force readings that were recorded.
-
-    Lever arms are taken from the true equilibrium; the change by other parameters is of first order in the deflection.
-    """
-
-    def __init__(self, made: Generated, repeat: int, physics: Physics, readings: Array) -> None:
-        """readings: of the force sensor, (N, M + 1, 3), N."""
-        self.cell, self.schedule, self.rows = made.cell, made.schedules[repeat], made.rows[repeat]
-        self.readings, self._true = readings, physics
-        self._frames: list[Frames] = []
-        self._e: list[Array] = []
-        self._motor = self._motor_angles(physics.sensing)
-        plant = Plant(self.cell.chain, physics.plant, whole=True)
-        state: State | None = None
-        frames = before = None
-        for j in range(self.rows.q.shape[1]):
-            R = self._frames[-1].R_tool if self._frames else forward(self.cell.chain, self.rows.q[:, 0]).R_tool
-            conditions = self._conditions(j, self.schedule.force[:, j], R)
-            if state is None:
-                state = plant.relaxed(self._motor[0], conditions, arrived(self.rows.q[:, 0]))
-            elif frames is not None and before is not None and np.isfinite(physics.plant.release):
-                state = plant.released(frames, self._motor[j - 1], before, state, self._motor[j] - self._motor[j - 1])
-            before = conditions
-            state, frames = plant.equilibrium(self._motor[j], conditions, state, self._dt(j), tolerance=1e-11)
-            self._frames.append(frames)
-            self._e.append(state.e)
-        self._plant = plant
-
-    def _dt(self, j: int) -> Array:
-        stamp = self.schedule.stamp
-        return stamp[:, j] - stamp[:, j - 1] if j else np.zeros(len(stamp))
-
-    def _step(self, j: int) -> Array:
-        q = self.rows.q
-        return np.asarray(q[:, j] - (q[:, j - 1] if j else self.rows.q_before))
-
-    def _motor_angles(self, sensing: SensingParameters) -> list[Array]:
-        return [motor_angles(sensing, self.rows.q[:, j], self._step(j)) for j in range(self.rows.q.shape[1])]
-
-    def _conditions(self, j: int, force: Array, R_tool: Array) -> Conditions:
-        axis = self.cell.rail[0] if self.cell.rail is not None else np.zeros(3)
-        conditions = conditions_at(self.schedule, j, self.schedule.poses.rail[:, None] * axis, force)
-        return replace(conditions, force=(R_tool @ force[:, :, None])[..., 0]) if j else conditions
-
-    def _strains(self, physics: Physics) -> list[tuple[Frames, Array]]:
-        """Configuration from which lever arms are taken, and change of the elastic coordinates against it, row by row."""
-        sensing = physics.sensing
-        plant = Plant(self.cell.chain, physics.plant, whole=True)
-        motor = self._motor_angles(sensing)
-        moved = any(np.any(a != b) for a, b in zip(motor, self._motor, strict=True))
-        moved = moved or _geometry(physics) != _geometry(self._true)
-        state: State | None = None
-        last = before = None
-        force, out = np.zeros((len(self.rows.q), 3)), []
-        for j, (frames, e_true) in enumerate(zip(self._frames, self._e, strict=True)):
-            if moved:
-                frames = plant.frames(motor[j], e_true)
-            force = true_force(
-                sensing, self.cell.sensor_axis, self.readings[:, j], frames.R_tool, force, self.schedule.ambient[:, j]
-            )
-            conditions = self._conditions(j, force, frames.R_tool)
-            if state is None:
-                state = plant.at_rest(frames, motor[j], conditions, arrived(self.rows.q[:, 0]))
-            elif last is not None and before is not None and np.isfinite(physics.plant.release):
-                state = plant.released(last, motor[j - 1], before, state, motor[j] - motor[j - 1])
-            last, before = frames, conditions
-            state, _ = plant.respond(frames, motor[j], conditions, state, plant.compliance(motor[j], conditions), self._dt(j))
-            out.append((frames, state.e - e_true))
-        return out
-
-    def __call__(self, physics: Physics) -> tuple[Array, Array]:
-        """Displacement of the marker, seen with the stated stations, and of the TCP against the controller's, since the
-        reference, (N, M, 3) each, m."""
-        sensing, tcp, seen = physics.sensing, [], []
-        for j, (frames, de) in enumerate(self._strains(physics)):
-            p = frames.p_tcp + (de[:, None] @ frames.lever)[:, 0]
-            turn = (de[:, None] @ self._plant.turns(frames))[:, 0]
-            arm = (frames.R_tool @ (self.cell.marker_in_tool0 + sensing.marker_error)[:, None])[..., 0]
-            jacobian = forward(self.cell.chain, self.rows.q[:, j]).jacobian()
-            tcp.append(p - beyond_reported(sensing, jacobian, self._step(j)) - self.rows.p_controller[:, j])
-            drifted = p + drift_at(sensing, self.schedule.stamp[:, j], self.schedule.ambient[:, j])
-            seen.append(self._measured(sensing, drifted + arm + np.cross(turn, arm), j))
-        return _since_reference(np.stack(seen, axis=1)), _since_reference(np.stack(tcp, axis=1))
-
-    def compliance_columns(self, truth: Truth) -> tuple[Array, Array]:
-        """Derivative of both displacements by the logarithm of each compliance of the joints, (3 n, N, M, 3) each, m.
-
-        All are changed at once: a spring's own angle answers to its own compliance only.
-        """
-        softer = replace(truth, axial=truth.axial * (1.0 + _STEP), transverse=truth.transverse * (1.0 + _STEP))
-        seen, tcp = [], []
-        for (frames, a), (_, b) in zip(self._strains(truth.physics()), self._strains(softer.physics()), strict=True):
-            joints = slice(6, 6 + 3 * self.cell.chain.n)
-            by_spring = ((b - a) / _STEP)[:, joints, None]
-            arm = (frames.R_tool @ self.cell.marker_in_tool0[:, None])[..., 0]
-            tcp.append(by_spring * frames.lever[:, joints])
-            seen.append(tcp[-1] + np.cross(by_spring * frames.axis[:, joints], arm[:, None]))
-        return (_since_reference(np.stack(seen, axis=1).transpose(2, 0, 1, 3), 2),
-                _since_reference(np.stack(tcp, axis=1).transpose(2, 0, 1, 3), 2))  # fmt: skip
-
-    def _measured(self, sensing: SensingParameters, p_marker: Array, j: int) -> Array:
-        """In base_link with the stated pose of the station."""
-        out = np.empty_like(p_marker)
-        axis = self.cell.rail[0] if self.cell.rail is not None else np.zeros(3)
-        in_cell = p_marker + self.schedule.poses.rail[:, None] * axis
-        for s, (_, p_station, R_station) in enumerate(self.cell.stations):
-            by = self.schedule.station == s
-            shifted = self.rows.shifted[by, j]
-            out[by] = tracker_reading(sensing, in_cell[by], s, p_station, R_station, shifted) @ R_station.T
-        return out
-
-
-def _since_reference(x: Array, axis: int = 1) -> Array:
-    reference = x.take([0], axis)
-    return np.delete(x, 0, axis) - reference
-
-
-def _geometry(physics: Physics) -> bytes:
-    plant = physics.plant
-    ends = (plant.hose.attach, plant.hose.anchor) if plant.hose is not None else ()
-    return b"".join(np.asarray(x).tobytes() for x in (plant.joint_zero, plant.p_error, plant.turn_error, *ends))
-
-
 # -- parameters ---------------------------------------------------------------------------------------------------------
 
 
@@ -194,7 +67,7 @@ def _nudged(truth: Truth, of: Hidden) -> Iterator[Truth]:
         width = _EFFECT_WIDTH * np.sqrt((x**2).mean())
         for at in np.argwhere(x) if x.ndim else [()]:  # a zero says that this part doesn't exist
             moved = x.copy()
-            moved[tuple(at)] += _STEP * width
+            moved[tuple(at)] += STEP * width
             changed = replace(of, parameters={**of.parameters, name: moved.tolist()})
             yield replace(truth, hidden=tuple(changed if h is of else h for h in truth.hidden))
 
@@ -233,7 +106,7 @@ def _half(made: Generated, truth: Truth) -> _Half:
         replay.readings = np.where(spoiled[..., None], rows.force_reading, run.force)
         out.replays.append(replay)
         out.clean.append(clean)
-        out.seen.append(clean + _since_reference(error))
+        out.seen.append(clean + since_reference(error))
         out.tcp.append(rows.deflection)
         own = np.where(spoiled, 1e3, sigma)
         covariance = own[:, 1:, None] ** 2 * np.eye(own.shape[1] - 1) + (sigma[:, 0] ** 2)[:, None, None]
@@ -290,9 +163,9 @@ def _of_effects(truth: Truth, session: _Half, validation: _Half) -> dict[str, _C
         for changed in _nudged(truth, h):
             a, _ = _evaluate(session, changed.physics())
             b, c = _evaluate(validation, changed.physics())
-            columns.seen.append(_white(session, [x - y for x, y in zip(a, seen)]).ravel() / _STEP)
-            columns.check.append([(x - y) / _STEP for x, y in zip(b, check)])
-            columns.tcp.append([(x - y) / _STEP for x, y in zip(c, tcp)])
+            columns.seen.append(_white(session, [x - y for x, y in zip(a, seen)]).ravel() / STEP)
+            columns.check.append([(x - y) / STEP for x, y in zip(b, check)])
+            columns.tcp.append([(x - y) / STEP for x, y in zip(c, tcp)])
     return out
 
 

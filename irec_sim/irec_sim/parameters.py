@@ -93,7 +93,7 @@ class PlantParameters:
         bearing_gap: half width of the play across each axis, (n, 2), rad; bearing_torque: that takes it up, (n,), N m.
         torque_product: angle of joint k per product of its torque and that of joint l, (n, n), rad/(N m)^2.
         contact_offset: point where the process force acts, in tool0, (3,), m.
-        terms: smooth causes without a name.
+        terms: smooth causes outside the catalogue.
     """
 
     axial: Array

@@ -44,7 +44,7 @@ class Conditions:
         gear_temperature: (n, joints), degC.
         process_on: (n,) bool; hoses pull only then.
         base_in_cell: of base_link, (n, 3), m; None: at the origin.
-        known: further variables of the rows by name, (n,) each, for causes without a name.
+        known: further variables of the rows by name, (n,) each, for causes outside the catalogue.
     """
 
     force: Array

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Further deformation without a name: smooth functions of one or two variables of a row, at any spring of the arm.
+"""Further deformation outside the catalogue: smooth functions of one or two variables of a row, at any spring of the arm.
 
 A term is put at one elastic coordinate. Either it adds an angle (or way) of its own, or it changes the compliance there. Its
 size is a sum of a few waves over its variables, with frequencies so low that it is smooth over the range of a session.

@@ -33,7 +33,7 @@ class TruthEffect:
     """draw: parameters from a generator; apply: physics changed by the effect at a scale of its magnitude.
 
     fixed: parameters that say where or what, not how much.
-    variables: what an effect depends on, as columns of a session, `tau_k` or `load_case`, for effects without a name.
+    variables: what an effect depends on, as columns of a session, `tau_k` or `load_case`, for those outside the catalogue.
     """
 
     draw: Callable[[np.random.Generator], Parameters]
@@ -253,7 +253,10 @@ CATALOGUE: dict[str, TruthEffect] = {
     "rail_compliance": plant_effect(
         _draw_rail,
         lambda plant, p, s: {
-            "rail": plant.rail + _six(p, s), "rail_floor": p["floor"], "rail_place": p["place"], "rail_width": p["width"],
+            "rail": plant.rail + _six(p, s),
+            "rail_floor": p["floor"],
+            "rail_place": p["place"],
+            "rail_width": p["width"],
         },
     ),
     "joint_stiffening": plant_effect(_draw_curve, _curve),
@@ -291,7 +294,11 @@ CATALOGUE: dict[str, TruthEffect] = {
     ),
     "station_shift": sensing_effect(
         lambda rng: {
-            "direction": direction(rng), "size": 1e-4, "share": float(rng.uniform(0.25, 0.75)), "time": 120.0, "station": 0,
+            "direction": direction(rng),
+            "size": 1e-4,
+            "share": float(rng.uniform(0.25, 0.75)),
+            "time": 120.0,
+            "station": 0,
         },
         _station_shift,
     ),

@@ -16,10 +16,11 @@ from irec_sim.matrix import Case, clean_cases, matrix_cases
 from irec_sim.mishaps import KINDS
 from irec_sim.noise import TrueNoise, claimed_over_true, draw_claim, marker_noise
 from irec_sim.observe import simulate
-from irec_sim.oracle import Replay, consult
+from irec_sim.oracle import consult
 from irec_sim.outside import GRAMMAR, OUTSIDE
 from irec_sim.plant import Plant
 from irec_sim.poses import spread_poses
+from irec_sim.replay import Replay
 from irec_sim.sensing import force_reading, true_force
 from irec_sim.session import Conduct, effect_share, generate, make_schedule, scale_to_share, write_session
 from irec_sim.truth import EFFECTS, make_truth, read_truth

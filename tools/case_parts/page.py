@@ -55,7 +55,7 @@ def write_report(found: Found, folder: Path) -> Path:
         verdict += " THE PLANT IS OUTSIDE THE REAL CELL'S BANDS: " + "; ".join(found.outside) + "."
     sections = [_table_one(found), _maps(found, folder), _course(found, folder), _ladder(found, folder), _learned(found, folder)]
     if found.budget is not None:
-        sections.append(_budget(found, folder))
+        sections.append(_budget(found.budget, folder))
     sections += found.numbered
     sections.append(_honest(found))
     page = Page(
@@ -197,11 +197,10 @@ def _learned(found: Found, folder: Path) -> Section:
     )
 
 
-def _budget(found: Found, folder: Path) -> Section:
-    assert found.budget is not None
-    path = pictures.budget(found.budget, folder / "budget.png")
-    rows = [[name, f"{1e3 * m:.1f}", f"{1e3 * x:.1f}"] for name, (m, x) in found.budget.parts.items()]
-    rows.append(["sum = error with the 18-DOF correction", *(f"{1e3 * v:.1f}" for v in found.budget.total)])
+def _budget(budget: Budget, folder: Path) -> Section:
+    path = pictures.budget(budget, folder / "budget.png")
+    rows = [[name, f"{1e3 * m:.1f}", f"{1e3 * x:.1f}"] for name, (m, x) in budget.parts.items()]
+    rows.append(["sum = error with the 18-DOF correction", *(f"{1e3 * v:.1f}" for v in budget.total)])
     text = [
         "Each group of causes is switched off in the simulator, one after the other and in the opposite order, the "
         "cell calibrated again"

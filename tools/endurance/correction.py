@@ -109,7 +109,8 @@ class Chain:
             f'<Delay D="{self.delay}"/><IPOC>{self.ipoc}</IPOC></Rob>'
         ).encode()
         stamp = stamp_of(packet)
-        assert stamp is not None
+        if stamp is None:
+            raise RuntimeError(f"the codec does not read this packet: {packet!r}")
         reply = self.session.reply(*stamp, self.now)
         self.session.finish(self.now)
         self.source.take(decode_robot(packet), self.now)

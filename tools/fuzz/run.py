@@ -121,9 +121,7 @@ def main() -> int:
     for name in runs:
         failed = sum(f[0] == name for f in findings)
         read = runs[name] - refused[name] - failed
-        print(
-            f"{name:<20}{runs[name]:>8}{read:>8}{refused[name]:>9}{failed:>8}{longest[name]:>12.2f}"
-        )
+        print(f"{name:<20}{runs[name]:>8}{read:>8}{refused[name]:>9}{failed:>8}{longest[name]:>12.2f}")
     for (name, result), numbers in _grouped(findings).items():
         print(f"FAILED {name}: {result} ({len(numbers)} times, e.g. number {numbers[0]} of seed {args.seed})")
     print(f"{sum(runs.values())} files, {len(findings)} failures")
@@ -146,8 +144,7 @@ def _one_worker(args, folder, number, end, runs, refused, longest, findings) -> 
     atexit.register(worker.kill)
     watch = _Watch(worker)
     current: dict[str, object] = {}
-    assert worker.stdout is not None
-    for line in worker.stdout:
+    for line in worker.stdout or ():
         watch.alive()
         try:
             said = json.loads(line)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rows that stand out beside a model and its unnamed remainder, given a noise of their own before the model is fitted for use.
+"""Rows that stand out beside a model and its nonparametric remainder, given noise of their own before it is fitted for use.
 
 A diagnosis carries such rows as displacements of their own, normal about 0 with an amplitude that the session shows. Integrated
 over, that is a larger variance: sigma^2 + a^2 of a row, sigma_0^2 + a^2 of a reference that several rows share. So a model's

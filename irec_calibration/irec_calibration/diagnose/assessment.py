@@ -38,7 +38,8 @@ class Assessment:
         names: effects that every good explanation needs, most important first; one_of: sets of which one is needed.
         study: the model with the added effects, cut down to the parts that they need; remainder: what is left beside it.
         evidence: what shows the structure that has no name: `repeats`, `held_out_structure`, `flexible_regression`.
-        remaining_m: size of that structure, RMS over samples, m; hidden_m: how large an unnamed cause could be and not be seen.
+        remaining_m: size of that structure, RMS over samples, m.
+        hidden_m: how large a cause outside the catalogue could be and not be seen, m.
         explained: share of the explainable excess that the added effects explain.
         held_out_base: error of the model that it started from, at the noise level of this assessment; asked: the model that was
             asked about, fitted at that level.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model building: effects enter one by one and leave again, each by its evidence given the others and an unnamed remainder.
+"""Model building: effects enter one by one and leave again, each by its evidence given the others and a nonparametric remainder.
 
-At every step the best effects are fitted exactly together with everything that is named already, each with an unnamed
+At every step the best effects are fitted exactly together with everything that is named already, each with a nonparametric
 remainder of its own. One is taken in where model and remainder with it explain the session better, by far, than any
 remainder without it. So a cause need not explain all of the residual, and a name never stands for a structure that the
 generic family describes as well.
@@ -127,7 +127,7 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
     proven = _proven(start, steps[-1], family, settings)
     evidence = proven[1]
     if proven[0] is not steps[-1]:
-        closest, reason = steps[-1], "it is no stronger than what remains without a name"
+        closest, reason = steps[-1], "it is no stronger than the structure that no effect explains"
         steps = [s for s in steps if set(s.ids) < set(proven[0].ids)] + [proven[0]]
     rivals = _rivals(start, steps[-1], near, found, family, check, settings)
     return Built(start, family, trials, skipped, tuple(singles), tuple(steps), evidence, closest, reason, rivals)
@@ -216,14 +216,14 @@ def _remainder(study: Study, family: Family, known: Sequence[Part], forms: Forms
 
 
 def _refused(start: Explanation, current: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[str, float]:
-    """Why an effect is not named on top of a model, or an empty string; and its evidence over any unnamed structure."""
+    """Why an effect is not named on top of a model, or an empty string; and its evidence over any nonparametric structure."""
     odds = _odds(one, current, one.ids[-1], family, settings)
     if len(start.study.bench.poses) < settings.fewest_poses:
         return "there are too few poses to test it on others", odds
     if odds < needed(one, one.ids[-1], settings):
         if current.remainder.structures and one.named - current.named > settings.nats_to_name:
             words = current.remainder.structures[0].structure.words
-            return f"a structure without a name explains as much: {words}", odds
+            return f"structure that is no effect explains as much: {words}", odds
         return "its evidence is too small", odds
     beyond = implausible(one, one.ids[-1])
     if beyond:
@@ -242,13 +242,13 @@ def _refused(start: Explanation, current: Explanation, one: Explanation, family:
 
 
 def _odds(one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings) -> float:
-    """Evidence of a name: of a model with it, over one without it and any unnamed structure in its place.
+    """Evidence of a name: of a model with it, over one without it and any nonparametric structure in its place.
 
     An effect that every robot has needs evidence of its own; against structures it may be as weak as what is not told apart.
 
     The general law of an axis' torque is no rival of an effect that is a form of it: it stays out on both sides. So does a drift
     of another form, unless it explains more than what is not told apart. A curve of few coefficients has a cause's form only
-    nearly: a share of what the unnamed structures explain counts for them.
+    nearly: a share of what the nonparametric structures explain counts for them.
     """
     forms = forms_of(_term(one, effect_id), one.study.ready)
 
@@ -260,8 +260,8 @@ def _odds(one: Explanation, bare: Explanation, effect_id: str, family: Family, s
         return rest.gained, _remainder(one.study, family, one.remainder.parts, forms).gained
 
     own = one.named - bare.named
-    unnamed, left = beside(forms)
-    odds = own + left - unnamed
+    in_place, left = beside(forms)
+    odds = own + left - in_place
     may_be_as_weak = settings.nats_to_separate + settings.nats_to_name
     if everywhere(one, effect_id):
         # to be there it needs no more than to explain as well as what has no name (nothing that is not told apart from it speaks
@@ -273,7 +273,7 @@ def _odds(one: Explanation, bare: Explanation, effect_id: str, family: Family, s
         odds = min(odds - settings.nats_to_name, own + more - instead + may_be_as_weak)
     if in_one_pose(one, effect_id):  # differences don't tell it from a bad pose, the readings of later poses may
         odds += lasts(one.study, _term(one, effect_id))
-    return odds - settings.share_of_form * max(unnamed - left, 0.0)
+    return odds - settings.share_of_form * max(in_place - left, 0.0)
 
 
 def _term(one: Explanation, effect_id: str) -> Term:
@@ -321,9 +321,9 @@ def _pruned(start: Explanation, one: Explanation, family: Family, settings: Sett
 
 
 def _proven(start: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[Explanation, dict[str, float]]:
-    """A model without names that what remains unnamed could feign, or that are too small beside the others; evidence of each.
+    """A model without names that nonparametric structure could feign, or that are too small beside the others; evidence of each.
 
-    An unnamed structure of unknown form can feign an effect that moves the marker alike, and so can a named one whose form is not
+    A structure of unknown form can feign an effect that moves the marker alike, and so can a named one whose form is not
     quite right.
     """
     while one.added:
@@ -341,7 +341,7 @@ def _proven(start: Explanation, one: Explanation, family: Family, settings: Sett
 
 
 def everywhere(one: Explanation, effect_id: str) -> bool:
-    """Whether every robot has an effect: it is preferred to a structure without a name that explains no more."""
+    """Whether every robot has an effect: it is preferred to a nonparametric structure that explains no more."""
     return _term(one, effect_id).effect.everywhere
 
 

@@ -251,14 +251,13 @@ def _scaled(columns: Array, rows: IntArray) -> Array:
 def directions(study: Study) -> Iterator[Direction]:
     """Directions along which a structure may act: words, variables that they bring along, columns (n, 3, d) in m."""
     scene = study.ready
-    assert scene.elastic is not None
     rows = study.observation.rows
     on = ((scene.load_case > 0) if scene.kind == "loaded" else np.ones(len(scene), dtype=bool))[:, None, None].astype(float)
     tau = scene.load_torque()
     yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
-    yield Direction("along the elastic deflection", (), _scaled(scene.elastic.displacement[:, :, None] * on, rows))
-    yield Direction("as a force at the tool", (), _scaled(scene.elastic.compliance[:, :, :3] * on, rows))
+    yield Direction("along the elastic deflection", (), _scaled(scene.response.displacement[:, :, None] * on, rows))
+    yield Direction("as a force at the tool", (), _scaled(scene.response.compliance[:, :, :3] * on, rows))
     angle = _scaled(scene.J * on, rows)
     size = np.maximum(np.sqrt((tau[rows] ** 2).mean(axis=0)), 1e-9)
     twist = angle * (tau / size)[:, None, :]
@@ -342,8 +341,7 @@ def _two_variables(study: Study) -> Iterator[Direction]:
 def _plain(study: Study) -> Iterator[Direction]:
     """Structures that need no variable of their own."""
     scene, rows = study.ready, study.observation.rows
-    assert scene.elastic is not None
-    by_torque = scene.elastic.compliance[:, :, 3:]
+    by_torque = scene.response.compliance[:, :, 3:]
     beside = np.stack([np.einsum("nij,nj->ni", by_torque, np.cross(e, scene.force_in_tool)) for e in np.eye(3)], axis=2)
     yield Direction("as if the force acted beside the TCP", ("load_case", f"tau_{scene.n_joints}"), _scaled(beside, rows))
     on = ((scene.load_case > 0) if scene.kind == "loaded" else np.ones(len(scene), dtype=bool))[:, None, None].astype(float)
@@ -352,10 +350,10 @@ def _plain(study: Study) -> Iterator[Direction]:
     if scene.kind == "loaded" and np.any(scene.previous >= 0):
         has = scene.previous >= 0
         last = np.where(has[:, None], scene.force_in_tool[scene.previous], 0.0)
-        memory = scene.elastic.compliance[:, :, :3] * last[:, None, :]
+        memory = scene.response.compliance[:, :, :3] * last[:, None, :]
         yield Direction("as if a share of the force before were still there", ("load_case",), _scaled(memory, rows))
         change = scene.force_in_tool - last
-        lag = scene.elastic.compliance[:, :, :3] * np.abs(change)[:, None, :]
+        lag = scene.response.compliance[:, :, :3] * np.abs(change)[:, None, :]
         yield Direction("as if the change of the force were read wrongly", ("load_case",), _scaled(lag, rows))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much any smooth cause without a name could still remove: a kernel regression of the residual over held-out poses."""
+"""How much any smooth cause outside the catalogue could still remove: a kernel regression of the residual over held-out poses."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Repeats:
 def with_inferred_level(
     observation: Observation, terms: Sequence[Term], settings: Settings = SETTINGS
 ) -> tuple[Study, tuple[Part, ...]]:
-    """A model fitted to a session at the noise level that model and unnamed remainder leave together; rows that stand out."""
+    """A model fitted to a session at the noise level that model and remainder leave together; rows that stand out."""
     observation = replace(observation, whiten=observation.whiten.scaled(1.0 / observation.whiten.level))
     first, remainder = _beside_wander(study_of(observation, terms), settings)
     level = level_beside(first, remainder, settings)

@@ -227,7 +227,7 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
     Args:
         study: the model with the added effects.
         added: their ids; effects that have no parts are left alone.
-        beside: columns of an unnamed remainder; family: structures that may stand in for a part.
+        beside: columns of a nonparametric remainder; family: structures that may stand in for a part.
     """
     known: dict[str, Parts] = {}
     other = None
@@ -271,8 +271,8 @@ def _with_more(parts: Parts, sets: _Sets, used: Names) -> Parts:
 
 
 def _beyond_structures(parts: Parts, sets: _Sets, names: Names, beside: Block | None, family: Family) -> Parts:
-    """Parts of which some are no longer proven, because an unnamed structure explains the session as well in their place; or, of
-    several axes with one law of torque, another law in one of them."""
+    """Parts of which some are no longer proven, because a nonparametric structure explains the session as well in their place;
+    or, of several axes with one law of torque, another law in one of them."""
     doubtful = []
     axes = {p.group: p.axis for p in sets.effect.parameters(sets.rest.ready)}
     for n in parts.proven:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The unnamed remainder: what a session has beside the named effects, in few structures of the generic family."""
+"""The nonparametric remainder: what a session has beside the named effects, in few structures of the generic family."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class Verdict:
         size_m: RMS of what is in the residual beyond noise, m; remaining_m: of what has structure beside the named effects.
         evidence: what shows that structure: `repeats`, `held_out_structure`, `flexible_regression`.
         one_of: sets of effects of which one is needed, likeliest first, where they are not told apart.
-        hidden_m: how large an unnamed cause could be and not be seen, m.
+        hidden_m: how large a cause outside the catalogue could be and not be seen, m.
         explained: share of the explainable excess that the named effects (or the best try) explain.
         confident: the first name stands alone; otherwise others explain the session as well.
         parts: of each named effect that acts in axes or directions: which of them the session proves. An axis that is not

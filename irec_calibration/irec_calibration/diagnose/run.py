@@ -95,8 +95,8 @@ def examine(
     shown = shown_of(session, first, assessment, check)
     say(0.85, "held-out error of each candidate")
     candidates = _candidates(assessment, readings, check)
-    unnamed = assessment.status == "unexplained" or assessment.remaining_m > 0.0
-    proposed = proposals(assessment.study, assessment.remainder, assessment.depends_on, check) if unnamed else ()
+    left_over = assessment.status == "unexplained" or assessment.remaining_m > 0.0
+    proposed = proposals(assessment.study, assessment.remainder, assessment.depends_on, check) if left_over else ()
     say(0.9, "views of the residual")
     whiten = study.observation.whiten
     observation = replace(study.observation, whiten=whiten.scaled(assessment.noise.inferred_m / whiten.floor))

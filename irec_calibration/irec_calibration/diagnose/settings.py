@@ -61,9 +61,7 @@ class ProposalThresholds(Thresholds):
     poses_to_tell: int = threshold(4, "poses", "that are proposed to be measured twice to learn the noise",
                                    "with three load cases 36 degrees of freedom: a level within 12 %")  # fmt: skip
     new_poses: int = threshold(2, "per measured pose", "new poses that are tried", "run time")
-    spread_rad: float = threshold(
-        0.35, "rad", "how far new poses lie from measured ones", "20 degrees: near, so reached"
-    )
+    spread_rad: float = threshold(0.35, "rad", "how far new poses lie from measured ones", "20 degrees: near, so reached")
     at_most: int = threshold(5, "measurements", "proposed", "what fits on a page")
 
 
@@ -76,7 +74,7 @@ class Settings(Thresholds):
         "the level is known within a factor of two at two standard deviations: 1 / sqrt(2 dof) = 0.35",
     )  # fmt: skip
     nats_to_name: float = threshold(
-        6.5, "nats", "evidence that a name needs over every model without it, unnamed structures included",
+        6.5, "nats", "evidence that a name needs over every model without it, nonparametric structures included",
         "odds of 600, so that 25 effects give a wrong name in less than 5 % of clean sessions",
     )  # fmt: skip
     nats_in_one_pose: float = threshold(
@@ -101,11 +99,11 @@ class Settings(Thresholds):
         "where rows stand out, tails are heavy, and evidence that counts on normal noise is too large",
     )  # fmt: skip
     share_of_form: float = threshold(
-        0.03, "share of evidence", "of the unnamed structures that a name replaces, that it must bring more than they do",
+        0.03, "share of evidence", "of the nonparametric structures that a name replaces, that it must bring more than they do",
         "polynomials of the generic family lose that much where they stand for a cause of another form",
     )  # fmt: skip
     nats_for_structure: float = threshold(
-        6.5, "nats", "evidence of the strongest unnamed structure, the number tried taken off, that makes a session unexplained",
+        6.5, "nats", "evidence of the strongest such structure, the number tried taken off, that makes a session unexplained",
         "odds of 600: four kinds of structures are tried, so that noise passes for one in less than 1 % of clean sessions",
     )  # fmt: skip
     nats_for_wander: float = threshold(
@@ -120,7 +118,7 @@ class Settings(Thresholds):
         8, "effects", "names at most", "measured robots show five to ten causes",
     )  # fmt: skip
     most_structures: int = threshold(
-        8, "structures", "parts of an unnamed remainder at most", "run time",
+        8, "structures", "parts of a nonparametric remainder at most", "run time",
     )  # fmt: skip
     refits: int = threshold(
         3, "effects", "candidates fitted exactly at each step", "run time",
@@ -172,7 +170,7 @@ class Settings(Thresholds):
     )  # fmt: skip
 
     nats_to_take_in: float = threshold(
-        3.0, "nats", "that a structure needs, the number tried taken off, to be taken into an unnamed remainder",
+        3.0, "nats", "that a structure needs, the number tried taken off, to be taken into a nonparametric remainder",
         "odds of 20: a remainder is no claim, and names must hold against it",
     )  # fmt: skip
     nats_to_depend: float = threshold(

@@ -82,7 +82,6 @@ class Study:
         """Derivative of the displacement by an effect's parameters about theta, on top of the model, (n, 3, p)."""
         if effect.acts_on != "wrench":
             return effect.regressor(self.ready, theta)
-        assert self.ready.elastic is not None
         parameters = effect.parameters(self.ready)
         out = np.empty((len(self.ready), 3, len(parameters)))
         for p, parameter in enumerate(parameters):
@@ -91,7 +90,7 @@ class Study:
             ahead[p] += h
             behind[p] -= h
             change = [np.concatenate(effect.wrench(self.ready, t), axis=1) for t in (ahead, behind)]
-            out[:, :, p] = np.einsum("nij,nj->ni", self.ready.elastic.compliance, (change[0] - change[1]) / (2 * h))
+            out[:, :, p] = np.einsum("nij,nj->ni", self.ready.response.compliance, (change[0] - change[1]) / (2 * h))
         return out
 
     def why_not(self, effect: Effect) -> str:

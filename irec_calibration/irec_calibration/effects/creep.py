@@ -71,8 +71,7 @@ class Creep(Effect):
                 before = crept[scene.previous[rows]]
                 crept[rows] = before + (v[rows] - before) * reached[rows]
             return crept
-        assert scene.elastic is not None
-        u = scene.elastic.displacement
+        u = scene.response.displacement
         since, applied = np.array(scene.load_since), u.copy()
         for i in order:
             before = scene.previous[i]

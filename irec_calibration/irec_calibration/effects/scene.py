@@ -203,6 +203,13 @@ class Scene:
         return self.instruments.station
 
     @property
+    def response(self) -> ElasticResponse:
+        """What the model's elastic effects answer. ValueError: this scene does not know it (see `needs_elastic`)."""
+        if self.elastic is None:
+            raise ValueError("the scene was made without the elastic response of a model")
+        return self.elastic
+
+    @property
     def stations(self) -> tuple[str, ...]:
         return self.instruments.stations
 

@@ -91,19 +91,16 @@ def neighbours(observation: Observation, terms: Sequence[Term]) -> Neighbours:
     columns, flexible = _columns(observation, terms)
     b = observation.y
     levels = LEVELS if m <= CHOOSE_BY else (0.0, 1.0)
-    best: tuple[float, Neighbours] | None = None
+    found: list[tuple[float, Neighbours]] = []
     plain = 1.0
     for level in levels:
         use = ~flexible if level == 0.0 else np.ones(len(flexible), dtype=bool)
         precision = np.where(flexible[use], 1.0 / (max(level, 1e-3) * plain) ** 2, 0.0)
-        found = _robust(columns[:, :, use], b, observation.whiten, precision)
+        one = _robust(columns[:, :, use], b, observation.whiten, precision)
         if level == 0.0:
-            plain = found.scale
-        score = float(np.minimum(found.z**2, CLIPPED).mean()) * found.scale**2
-        if best is None or score < best[0]:
-            best = (score, found)
-    assert best is not None
-    return best[1]
+            plain = one.scale
+        found.append((float(np.minimum(one.z**2, CLIPPED).mean()) * one.scale**2, one))
+    return min(found, key=lambda scored: scored[0])[1]
 
 
 def _columns(observation: Observation, terms: Sequence[Term]) -> tuple[Array, BoolArray]:

@@ -5,8 +5,8 @@ Every pose is predicted from all others (`neighbours`). A row, or the rows of on
 tail of all the others, and one simple accident (a jump, a swap, a moved reference, ...) must explain it. What bends many poses in
 the same way is a missing effect and stays in.
 
-In a loaded session only what no missing effect could do is left out; a row that an effect without a name may have bent is named
-and kept at full weight, since leaving it out would hide the effect from who looks for it. All that fits a session (solve,
+In a loaded session only what no missing effect could do is left out; a row that a cause outside the catalogue may have bent is
+named and kept at full weight, since leaving it out would hide the effect from who looks for it. All that fits a session (solve,
 compare, codec, diagnose, ...) sees the rows that `treated` leaves.
 """
 

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,28 @@ import numpy as np
 from ..codec import Codec
 from ..codec.growth import Growth, growth_of
 from ..errors import PlanError
+from ..typing import Array
 from .style import pyplot
 
+
+@dataclass(frozen=True)
+class _Kind:
+    """Which error is drawn.
+
+    Attributes:
+        name: of the axis. errors: of a CODEC, (n_cv, n_c), m. floor: what noise alone leaves of it, m. labelled: in the legend.
+    """
+
+    name: str
+    errors: Callable[[Codec], Array]
+    floor: Callable[[Codec], float]
+    labelled: bool
+
+
+_KINDS = (
+    _Kind("Mean", lambda codec: codec.norm_mean, lambda codec: codec.floor_mean, True),
+    _Kind("Maximum", lambda codec: codec.norm_max, lambda codec: codec.floor_max, False),
+)
 _FAR_APART = 8.0  # medians that differ by more than this factor are drawn on a logarithmic axis
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00")
 
@@ -53,10 +74,10 @@ def save_chart(codecs: Sequence[Codec], path: str | Path, title: str = "") -> Pa
     """
     plt = pyplot()
     figure, axes = plt.subplots(2, 1, figsize=(11, 8), sharex=True, constrained_layout=True)
-    for ax, kind, what in zip(axes, ("norm_mean", "norm_max"), ("Mean", "Maximum"), strict=True):
+    for ax, kind in zip(axes, _KINDS, strict=True):
         _draw(ax, codecs, kind)
         _scale(ax, codecs, kind)
-        ax.set_ylabel(f"{what} error on\nverification poses [mm]")
+        ax.set_ylabel(f"{kind.name} error on\nverification poses [mm]")
         ax.grid(axis="y", which="both", color="0.92")
         ax.set_axisbelow(True)
     axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(codecs) + 1, frameon=False, fontsize=9)
@@ -72,11 +93,11 @@ def save_chart(codecs: Sequence[Codec], path: str | Path, title: str = "") -> Pa
     return path
 
 
-def _draw(ax: Any, codecs: Sequence[Codec], kind: str) -> None:
+def _draw(ax: Any, codecs: Sequence[Codec], kind: _Kind) -> None:
     """Boxes, medians, floor and saturation of every CODEC, in mm."""
     width = 0.8 / len(codecs)
     for k, codec in enumerate(codecs):
-        colour, values = _COLOURS[k % len(_COLOURS)], 1e3 * getattr(codec, kind)
+        colour, values = _COLOURS[k % len(_COLOURS)], 1e3 * kind.errors(codec)
         shift = (k - (len(codecs) - 1) / 2) * width
         at = np.arange(1, values.shape[1] + 1) + shift
         ax.boxplot(
@@ -85,11 +106,12 @@ def _draw(ax: Any, codecs: Sequence[Codec], kind: str) -> None:
             whiskerprops={"color": colour}, capprops={"color": colour},
             flierprops={"marker": ".", "markersize": 3, "markeredgecolor": colour},
         )  # fmt: skip
-        label = f"{codec.label}: median {np.median(values[:, -1]):.3f} mm at the end" if kind == "norm_mean" else None
+        label = f"{codec.label}: median {np.median(values[:, -1]):.3f} mm at the end" if kind.labelled else None
         ax.plot(at, np.median(values, axis=0), color=colour, linewidth=0.8, label=label)
-        _draw_saturation(ax, codec, colour, kind == "norm_mean")
-    floor = 1e3 * (codecs[0].floor_mean if kind == "norm_mean" else codecs[0].floor_max)
+        _draw_saturation(ax, codec, colour, kind.labelled)
+    floor = 1e3 * kind.floor(codecs[0])
     ax.axhline(floor, color="black", linestyle="--", linewidth=1, label=f"instrument noise alone, {floor:.3f} mm")
+
 
 def _draw_saturation(ax: Any, codec: Codec, colour: str, named: bool) -> None:
     try:
@@ -103,13 +125,13 @@ def _draw_saturation(ax: Any, codec: Codec, colour: str, named: bool) -> None:
         ax.axvspan(low - 0.5, high + 0.5, color=colour, alpha=0.06, linewidth=0)
 
 
-def _scale(ax: Any, codecs: Sequence[Codec], kind: str) -> None:
+def _scale(ax: Any, codecs: Sequence[Codec], kind: _Kind) -> None:
     """An axis that shows the growth: errors with one or two poses may run out of it; logarithmic where curves differ a lot."""
     first = min(2, codecs[0].norm_mean.shape[1] - 1)
-    values = [1e3 * getattr(codec, kind)[:, first:] for codec in codecs]
+    values = [1e3 * kind.errors(codec)[:, first:] for codec in codecs]
     medians = np.concatenate([np.median(v, axis=0) for v in values])
     top = max(float(np.percentile(v, 99.5)) for v in values)
-    floor = 1e3 * (codecs[0].floor_mean if kind == "norm_mean" else codecs[0].floor_max)
+    floor = 1e3 * kind.floor(codecs[0])
     if medians.max() > _FAR_APART * medians.min():
         ax.set_yscale("log")
         ax.set_ylim(0.7 * min(floor or np.inf, *(float(v.min()) for v in values)), 1.5 * top)

@@ -26,7 +26,7 @@ from .page import Figure, Page, Section, Table, write_page
 STATUS = {
     "adequate": "The model is adequate",
     "missing_effect": "An effect is missing",
-    "unexplained": "There is structure without a name",
+    "unexplained": "There is structure that no effect explains",
 }
 SHOWN = 12
 MOST_AGAINST = 4

@@ -77,5 +77,6 @@ def _value(node: ast.AST, q: Array, index: dict[str, int]) -> Array:
         return np.asarray(float(node.value))  # type: ignore[arg-type]
     if isinstance(node, ast.BinOp):
         return OPERATORS[type(node.op)](_value(node.left, q, index), _value(node.right, q, index))
-    assert isinstance(node, ast.UnaryOp)
+    if not isinstance(node, ast.UnaryOp):
+        raise TypeError(f"{ast.dump(node)} has passed the check of the expression")
     return OPERATORS[type(node.op)](_value(node.operand, q, index))

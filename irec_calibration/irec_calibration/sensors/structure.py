@@ -92,16 +92,15 @@ def _fit(f: Array, H: Array, weight: Array) -> Structure:
     order = peaks[np.argsort(-size[peaks])]  # the largest answer first: a prominent peak may be noise
     starts = [float(f[i]) for i in order] or [float(f[int(np.argmax(size))])]
     target = H.reshape(len(f), 9)
-    best: tuple[Array, float] | None = None
+    best = start = np.zeros(0), np.inf
     for count in range(1, min(MOST, len(starts) + 1) + 1):
         guess = starts[:count] + [0.5 * (starts[0] + f[-1])] * (count - len(starts[:count]))
-        tries = [guess] if best is None else [guess, [*np.exp(best[0][: count - 1]), 1.12 * float(np.exp(best[0][0]))]]
+        tries = [guess] if best is start else [guess, [*np.exp(best[0][: count - 1]), 1.12 * float(np.exp(best[0][0]))]]
         fits = [_solve(f, target, weight, np.array(g)) for g in tries]
         x, cost = min(fits, key=lambda pair: pair[1])
-        if best is not None and cost > WORTH * best[1]:
+        if cost > WORTH * best[1]:
             break
         best = (x, cost)
-    assert best is not None
     x = best[0]
     model, R, D, w, zeta = _model(f, target, weight, x)
     static = sum(R[m] / w[m] ** 2 for m in range(len(w))) + D

@@ -157,9 +157,10 @@ class BenchPage:
 
     def redraw(self) -> None:
         """Draw the figures anew, as far as they show something else."""
-        if self.room.view is not None and self.room.versions.all:
-            self.middle.redraw()
-            self.bottom.redraw()
+        view = self.room.view
+        if view is not None and self.room.versions.all:
+            self.middle.redraw(view)
+            self.bottom.redraw(view)
 
     async def attempt(self, text: str) -> None:
         """Try an effect; draws the quick answer as soon as it is there."""

@@ -11,6 +11,7 @@ from . import figures
 
 if TYPE_CHECKING:
     from .bench_page import BenchPage
+    from .plain import SessionView
 
 POINTS = "(e) => emit(e?.points ? e.points.map(p => p.customdata).filter(c => typeof c === 'number') : null)"
 # plotly says "selected" with no point by itself when it draws new data under an old rectangle: that is not the person
@@ -60,11 +61,10 @@ class BottomPanel:
                     self.course_text = ui.label("").classes("words").style("padding: 2px 10px").props('data-testid="course-text"')
                     self.course_plot = ui.plotly(empty).props('data-testid="course"')
 
-    def redraw(self) -> None:
+    def redraw(self, view: SessionView) -> None:
         """Draw those figures anew that show something else."""
         page, room = self.page, self.page.room
-        assert room.view is not None
-        view, version, look, due = room.view, room.current, page.look, page.redrawn.due
+        version, look, due = room.current, page.look, page.redrawn.due
         variables = list(view.columns)
         if self.against_select.options != variables:
             torque = next((c for c in variables if c.startswith("tau")), variables[0] if variables else "")

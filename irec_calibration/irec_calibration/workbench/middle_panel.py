@@ -13,6 +13,7 @@ from . import figures
 
 if TYPE_CHECKING:
     from .bench_page import BenchPage
+    from .plain import SessionView
 
 
 class MiddlePanel:
@@ -41,11 +42,10 @@ class MiddlePanel:
         self.plot = ui.plotly({"data": [], "layout": {}, "config": figures.CONFIG}).props('data-testid="cell-plot"')
         self.page.clicks(self.plot)
 
-    def redraw(self) -> None:
+    def redraw(self, view: SessionView) -> None:
         """Draw it anew where it shows something else."""
         page, room = self.page, self.page.room
-        assert room.view is not None
-        view, version = room.view, room.current
+        version = room.current
         columns = [figures.BY_RESIDUAL, "residual / noise", *view.columns]
         if self.by_select.options != columns:
             self.by = self.by if self.by in columns else figures.BY_RESIDUAL

@@ -22,7 +22,7 @@ CANDIDATES, SENTENCES = 9, 7
 STATUS = {
     "adequate": "The model is adequate",
     "missing_effect": "An effect is missing",
-    "unexplained": "There is structure without a name",
+    "unexplained": "There is structure that no effect explains",
 }
 
 

@@ -220,8 +220,12 @@ class Room:
         return path
 
     async def grown(self) -> bool:
-        """Read the session again where its file has grown, and fit the version in use to it; whether it had."""
-        assert self.view is not None
+        """Read the session again where its file has grown, and fit the version in use to it; whether it had.
+
+        False where it was not read yet: `open` comes first.
+        """
+        if self.view is None:
+            return False
         view = await self.quick.call(Desk.view, self.session)
         if len(view.pose) == len(self.view.pose):
             return False

@@ -110,7 +110,7 @@ def test_every_figure_can_be_drawn_and_sent(desk):
             assert json.loads(json.dumps(figure, allow_nan=False))["data"] is not None
 
 
-def test_a_sample_and_a_group_are_put_in_words(desk):
+def test_a_sample_and_a_group_are_described(desk):
     made, session, version, _ = desk
     view = made.view(session, quiet, never)
     names = [name for name, _ in words.sample(view, version, version.residual, 0)]

@@ -22,41 +22,19 @@ packets were missing for so long that RSI may have been stopped and started, and
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import dataclass
 
-from irec_calibration.typing import Array
-
-from ..limits import OffsetLimits
+from .answers import Action, Answer
+from .complaints import Complaints
+from .delay_count import LAG, DelayCount
 
 RESTART = 150  # cycles; the controller, with its time-out of 100, has stopped RSI for sure. IPOC this far back: no late packet
-LAG = 1  # cycles by which Delay may be behind
 SHORTEST_PAUSE = 10  # cycles between two sessions; no controller stops RSI and starts it again within that
-TOLERANCE = 1  # cycles
 EARLY = 2.0  # cycles by which an IPOC may be ahead of its time: the packet before it was held up on the way
 CONFIRM = 3  # packets in a row that must agree before a new session begins at zero while the controller may hold something
 NEW_CLOCK = 10  # packets in a row of another sequence, and cycles without one of the old: the controller's clock was set anew
-REFUSED = 20  # cycles in a row that went wrong, to say so
 KEPT_ARRIVALS = 64
 IPOC_WRAP = 1 << 32  # ms
-
-
-class Action(Enum):
-    """What to do with a packet."""
-
-    NEXT = "go on from the answer before"
-    HOLD = "cycles went wrong: send what the controller may hold, go on from rest"
-    START = "a new session, which holds no correction"
-    SILENT = "any answer could be a jump, or the packet is not of this cycle: no answer"
-
-
-@dataclass(frozen=True)
-class Answer:
-    """An offset, translation (3,), m, and rotation vector (3,), rad, and its bytes up to the IPOC."""
-
-    translation: Array
-    rotation: Array
-    text: bytes
 
 
 @dataclass
@@ -67,16 +45,6 @@ class _Other:
     count: int
     first_delay: int | None
     since: float
-
-
-def per_answer(limits: OffsetLimits) -> OffsetLimits:
-    """Limits for a source of answers: LAG + 1 answers in a row stay within one step of the limits given."""
-    share = 1.0 / (LAG + 1)
-    return replace(
-        limits,
-        translation=replace(limits.translation, rate=share * limits.translation.rate),
-        rotation=replace(limits.rotation, rate=share * limits.rotation.rate),
-    )
 
 
 class Sequence:
@@ -95,10 +63,8 @@ class Sequence:
         self.sent = self.before = zero
         self.problem = ""
         self.lost = self.duplicate = self.out_of_sequence = self.not_taken = self.sessions = 0
-        self._in_a_row: bool | None = None  # how Delay counts: late cycles in a row, or in all
-        self._counts = False  # Delay has been seen to rise
-        self._clean = self._wrong = 0  # packets in a row
-        self._even = self._uneven = 0  # packets on which IPOC went on by one cycle, and others
+        self._delays, self._complaints = DelayCount(), Complaints(cycle_ms)
+        self._clean = 0  # packets in a row
         self._forget_packets()
 
     def _forget_packets(self) -> None:
@@ -143,7 +109,7 @@ class Sequence:
         steps = self._steps(self.newest, ipoc)
         if steps == 1 or (steps > 1 and now - self._newest_at >= (steps - EARLY) * self._cycle):
             return self._in_sequence(ipoc, delay, now, steps)
-        self._pace(ipoc == self.newest)
+        self._complaints.pace(ipoc == self.newest)
         if not self._doubt:
             self.problem = self._complaint()
         if steps == 0:
@@ -180,27 +146,20 @@ class Sequence:
             self._arrivals.append((ipoc, now))
         if steps is None:
             return False
-        self._pace(steps == 1)
-        if delay is None or last is None:
-            return False
-        if delay > last:
-            self._counts = True
-        elif steps == 1 and last > 0:
-            self._in_a_row = delay < last
-        return delay > last
+        self._complaints.pace(steps == 1)
+        return self._delays.follow(last, delay, steps)
 
     def _in_session(self, delay: int | None, gap: int, rose: bool) -> Action:
         if gap == 0 and not rose:
             self._clean += 1
-            self._wrong = 0
+            self._complaints.wrong = 0
             self.problem = self._complaint()
             if self._holding and self._clean <= LAG:
                 return Action.HOLD
             self._holding = False
             return Action.NEXT
         then = self._answered[1] if self._answered is not None else None
-        counted = 0 if delay is None or then is None else delay if self._in_a_row else delay - then
-        refused = counted > gap
+        refused = self._delays.since(then, delay) > gap
         self.not_taken += refused
         return self._hold(refused)
 
@@ -209,7 +168,7 @@ class Sequence:
         if refused and not self._holding:
             self.sent = self.before
         self._holding, self._clean = True, 0
-        self._wrong += 1
+        self._complaints.wrong += 1
         self.problem = self._complaint()
         return Action.HOLD
 
@@ -230,7 +189,11 @@ class Sequence:
             self._other = last = _Other(ipoc, 1, delay, now)
         if 0 < steps <= SHORTEST_PAUSE and last.count >= CONFIRM:  # a cell that runs faster than its time has lost a packet
             return self._in_sequence(ipoc, delay, now, steps)
-        if last.count < NEW_CLOCK or now - self._newest_at < NEW_CLOCK * self._cycle or self._is_replay(last, delay):
+        if (
+            last.count < NEW_CLOCK
+            or now - self._newest_at < NEW_CLOCK * self._cycle
+            or self._delays.is_replay(last.first_delay, delay, last.count)
+        ):
             return Action.SILENT
         self._follow(ipoc, delay, now, None)
         if steps < 0:
@@ -238,18 +201,11 @@ class Sequence:
         self._starting = last.count, last.since  # so many have agreed already
         return self._after_silence(ipoc, delay, now)
 
-    def _is_replay(self, other: _Other, delay: int | None) -> bool:
-        """A controller that gets no answer counts that; packets recorded earlier do not."""
-        if not self._counts or delay is None or other.first_delay is None:
-            return False
-        return delay - other.first_delay < other.count - 1 - LAG - TOLERANCE
-
     def _was_overrun(self, ipoc: int, now: float) -> bool:
         """Whether an earlier IPOC is in its time and the newest one was ahead of it: the newest came from somebody else."""
-        assert self.newest is not None
         for then, at in reversed(self._arrivals):
             steps = self._steps(then, ipoc)
-            if steps >= 1:
+            if steps >= 1 and self.newest is not None:
                 in_time = abs((now - at) / self._cycle - steps) <= EARLY + 0.5 * steps
                 ahead = self._steps(then, self.newest) - (self._newest_at - at) / self._cycle
                 return in_time and ahead > EARLY
@@ -283,7 +239,7 @@ class Sequence:
             if same:
                 self._starting = None
                 return self._hold(False)  # its time-out is longer
-            if same is None and self._counts and delay:
+            if same is None and self._delays.rises and delay:
                 self._doubt, self._starting = True, None
                 return self._in_doubt(ipoc, delay, now)
         return self._start_when_sure(now)
@@ -323,46 +279,17 @@ class Sequence:
         self.sent = self.before = self._zero
         self._doubt = self._holding = False
         self._starting = None
-        self._clean = self._wrong = 0
+        self._clean = self._complaints.wrong = 0
         self.problem = self._complaint()
         self.sessions += 1
         return Action.START
 
     def _is_same_session(self, ipoc_then: int, delay_then: int | None, ipoc: int, delay: int | None) -> bool | None:
         """Whether RSI has been running and counting since the last answer; None: can't be told."""
-        if delay is None or delay_then is None or not self._counts:
-            return None
-        least = self._steps(ipoc_then, ipoc) - 1 - LAG - TOLERANCE
-        in_a_row, in_all = delay >= least, delay - delay_then >= least
-        if self._in_a_row is None:
-            return in_a_row if in_a_row == in_all else None
-        return in_a_row if self._in_a_row else in_all
-
-    # -- what to say ---------------------------------------------------------------------------------------------------
-
-    def _pace(self, regular: bool) -> None:
-        """Watch whether IPOC goes on by one cycle from packet to packet."""
-        self._even = self._even + 1 if regular else 0
-        self._uneven = 0 if self._even >= REFUSED // 2 else self._uneven + (not regular)
+        return self._delays.same_session(delay_then, delay, self._steps(ipoc_then, ipoc))
 
     def _complaint(self) -> str:
-        if self._uneven >= REFUSED:
-            return (
-                f"IPOC does not go on by {self._cycle_ms} ms from packet to packet: check parameter cycle_ms (IPO_FAST: 4, "
-                "IPO: 12), and whether somebody else sends packets; until then the offset is held"
-            )
-        if self._wrong >= REFUSED:
-            return (
-                f"the controller has not taken the last {REFUSED} answers or more: they come too late (latency in "
-                "/diagnostics), get lost on the way back (firewall), or 'sentype' is not the SENTYPE of its ethernet XML"
-            )
-        if self._answered is not None and self._answered[1] is None:
-            return (
-                "packets carry no Delay, so answers that are lost on the way to the controller are not seen, and after k of them "
-                "the next one may be (k + 1) / 2 steps of the rate limit away: add DEF_Delay to SEND of the ethernet XML (irec "
-                "rsi-config writes one)"
-            )
-        return ""
+        return self._complaints.text(self._answered is not None and self._answered[1] is None)
 
     def _steps(self, before: int, after: int) -> int:
         """Cycles from one IPOC to another."""

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from .answers import Action, Answer
 from .codec import encode_correction, encode_ipoc
-from .sequence import Action, Answer, Sequence
+from .sequence import Sequence
 from .sources import OffsetSource
 
 

@@ -23,9 +23,9 @@ from ..shared import WRENCH_SIZE, SharedValues
 from ..spring_chain import build_chain
 from ..state import ZERO_OFFSET, State, Supervisor
 from ..watchdog import Fault, Finding
+from .answers import per_answer
 from .codec import RobotPacket
 from .report import FAULTS, WHERE
-from .sequence import per_answer
 
 # offset block: time (CLOCK_MONOTONIC), wanted (0 or 1), translation(3), rotation vector(3)
 OFFSET_SIZE = 8
