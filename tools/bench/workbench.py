@@ -13,17 +13,20 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Awaitable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "irec_calibration" / "test"))
 LIMIT = 0.3  # s
+Answer = TypeVar("Answer")
 FORMULAS = ("axis 1: c * tau**3", "tool z: c * f_z * sin(q_4)")
 
 
-async def _timed(call) -> tuple[float, object]:
+async def _timed(call: Awaitable[Answer]) -> tuple[float, Answer]:
     began = time.perf_counter()
     answer = await call
     return time.perf_counter() - began, answer
@@ -35,6 +38,7 @@ async def _session(poses: int, folder: Path, every: bool) -> float:
     from irec_calibration.errors import IrecError
     from irec_calibration.session import write_table
     from irec_calibration.workbench import figures
+    from irec_calibration.workbench.desk import Desk
     from irec_calibration.workbench.worker import Worker
     from synthetic import session
     from workbench_server import hardening
@@ -44,9 +48,9 @@ async def _session(poses: int, folder: Path, every: bool) -> float:
     try:
         await worker.warm()
         print(f"\n{poses} poses, {5 * poses} loaded rows, {6 * poses} rows")
-        seconds, view = await _timed(worker.call("view", path))
+        seconds, view = await _timed(worker.call(Desk.view, path))
         print(f"  {'read and lay out':44} {seconds:7.3f} s")
-        seconds, version = await _timed(worker.call("start", path, "", str(folder / f"v{poses}")))
+        seconds, version = await _timed(worker.call(Desk.start, path, "", str(folder / f"v{poses}")))
         print(f"  {'first model fitted':44} {seconds:7.3f} s")
         for by in (figures.BY_RESIDUAL, "tau_2"):
             began = time.perf_counter()
@@ -58,14 +62,14 @@ async def _session(poses: int, folder: Path, every: bool) -> float:
         slowest = 0.0
         for text in [*FORMULAS, *(view.effects if every else ())]:
             try:
-                seconds, _ = await _timed(worker.call("quick", path, version.model, text))
+                seconds, _ = await _timed(worker.call(Desk.quick, path, version.model, text))
             except IrecError:
                 continue  # it can't be seen in this session
             shaped = ":" not in text and any(p.grid for p in find_effect(text).parameters(_scene(path)))
             if not shaped:
                 slowest = max(slowest, seconds)
             print(f"  {'try ' + text + (' (with a shape)' if shaped else ''):44} {seconds:7.3f} s")
-        seconds, _ = await _timed(worker.call("exact", path, version.model, FORMULAS[0], str(folder / f"v{poses}")))
+        seconds, _ = await _timed(worker.call(Desk.exact, path, version.model, FORMULAS[0], str(folder / f"v{poses}")))
         print(f"  {'exact fit of the first':44} {seconds:7.3f} s")
         return slowest
     finally:

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benches that `make bench` runs: each prints its figures for a small case. How fast it was is not judged here."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "arguments", "figure"),
+    [
+        ("workbench.py", ["--poses", "8", "--large", "0"], "slowest answer of a linear effect"),
+        ("rows.py", ["155", "--fit"], "answer\n    186 "),
+    ],
+)
+def test_a_bench_prints_its_figures(name, arguments, figure):
+    command = [sys.executable, str(ROOT / "tools/bench" / name), *arguments]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200)
+    assert run.returncode in (0, 1) and "Traceback" not in run.stderr, run.stderr
+    assert figure in run.stdout
