@@ -37,7 +37,6 @@ COURSE_TIMEOUT = 180.0
 SPEED = 6.0  # simulated seconds per second, at most
 COURSE_SPEED = 2.0  # simulated seconds per second: the correction has to keep up with 250 Hz of the cell's clock
 MAX_LEAD = 0.019  # s of the cell's clock that it may be ahead of procedure and correction: less than their watchdogs allow
-COURSE_TAKES = 14.0  # s of the machine's clock, about
 SIX, EIGHTEEN = ["joint_torsion"], ["joint_torsion", "link_bending"]
 
 
@@ -186,16 +185,19 @@ def drive(
     operator.call(SetParameters, CELL_PARAMETERS, speed_request(COURSE_SPEED), 10.0)
     ask(Trigger, "recorder/start", Trigger.Request(), 10.0)
     courses, home = {}, read_cell(args.cell).home.tolist()
+    took = ""  # how long the first course took on this machine, for the others
     for name, model in models.items():
         if model is not None:
             ask(ActivateModel, "irec/correction/activate_model", ActivateModel.Request(model_path=str(model)), 20.0)
             tell.say(f"{model.name} is in force; driving the course again with correction")
 
-        def show(seconds: float, name: str = name) -> None:
-            tell.update(f"course '{name}', {seconds:.0f} s of about {COURSE_TAKES:.0f} s")
+        def show(seconds: float, name: str = name, took: str = took) -> None:
+            tell.update(f"course '{name}', {seconds:.0f} s{took}")
 
         operator.move_joints(home, 0.5, 60.0)  # away from the mould, before going to where the course begins
+        began = time.monotonic()
         ask(Trigger, "sim/run_course", Trigger.Request(), COURSE_TIMEOUT, show)
+        took = f" of about {time.monotonic() - began:.0f} s"
         courses[name] = out / f"course_{name}.csv"
         (out / "course.csv").rename(courses[name])
     ask(Trigger, "recorder/stop", Trigger.Request(), 30.0)
