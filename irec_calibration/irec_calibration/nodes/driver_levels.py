@@ -13,7 +13,7 @@ from ..driver_check.observed import Answer, Item, Observation
 from ..driver_check.offset import Offsets, judge_offset
 from ..driver_check.passive import judge_passive
 from ..driver_check.pressing import LEAVE, Pressing, judge_pressing
-from ..poses.pool import Checker
+from ..poses.checker import Checker
 from ..procedure.axes import Axes
 from ..procedure.settings import Settings
 from ..typing import Array

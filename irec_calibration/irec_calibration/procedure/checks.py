@@ -10,7 +10,7 @@ import numpy as np
 
 from ..cell import Cell
 from ..errors import PlanError
-from ..poses.pool import REASONS, Checker
+from ..poses.checker import REASONS, Checker
 from ..typing import Array
 from .settings import Settings
 from .standstill import Window

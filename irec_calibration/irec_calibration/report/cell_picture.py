@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..cell import Cell
-from ..poses.pool import Checker
+from ..poses.checker import Checker
 from ..poses.store import PoseList
 from ..typing import Array
 from .style import pyplot

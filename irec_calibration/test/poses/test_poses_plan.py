@@ -15,11 +15,11 @@ from irec_calibration.cell import Station, read_cell
 from irec_calibration.cell.surface import Patch
 from irec_calibration.cli import main
 from irec_calibration.errors import CellError, PlanError
-from irec_calibration.poses import pool as pool_module
 from irec_calibration.poses.blocks import observation_blocks
+from irec_calibration.poses.checker import REASONS, Checker, segment_distance
 from irec_calibration.poses.ik import Chain, solve_tool_axis, wrap_into_limits
 from irec_calibration.poses.plan import make_plan, pose_list
-from irec_calibration.poses.pool import REASONS, Checker, generate_pool
+from irec_calibration.poses.pool import generate_pool
 from irec_calibration.poses.store import read_poses, write_poses
 
 CELLS = Path(__file__).parents[3] / "config" / "cells"
@@ -70,9 +70,7 @@ def test_inverse_kinematics_finds_the_tool_axis_of_a_reachable_configuration(see
 
 
 def test_inverse_kinematics_says_that_a_point_out_of_reach_did_not_converge(afp):
-    _, converged = solve_tool_axis(
-        Chain.of(afp.robot), np.array([[9.0, 0, 1]]), np.array([[1.0, 0, 0]]), afp.home[None]
-    )
+    _, converged = solve_tool_axis(Chain.of(afp.robot), np.array([[9.0, 0, 1]]), np.array([[1.0, 0, 0]]), afp.home[None])
     assert not converged.any()
 
 
@@ -162,7 +160,7 @@ def test_an_arm_between_marker_and_station_blocks_the_view(afp, afp_pool):
 def test_segments_that_cross_have_distance_zero_and_parallel_ones_their_gap():
     p, u = np.array([[0.0, 0, 0], [0, 0, 0]]), np.array([[1.0, 0, 0], [1, 0, 0]])
     q, v = np.array([[0.5, -1, 0], [0, 0, 0.3]]), np.array([[0.0, 2, 0], [1, 0, 0]])
-    np.testing.assert_allclose(pool_module._segment_distance(p, u, q, v), [0.0, 0.3], atol=1e-12)
+    np.testing.assert_allclose(segment_distance(p, u, q, v), [0.0, 0.3], atol=1e-12)
 
 
 def test_observation_blocks_are_what_finite_compliances_do(afp, afp_pool):
