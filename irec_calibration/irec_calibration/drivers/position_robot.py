@@ -15,15 +15,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..typing import Array
+from .following import Following
 from .moves import Motion, MoveError, Planner
+from .offset_hold import OffsetHold
 
 POSITION, FORCE, FAULT = 0, 1, 2  # MODE_ constants of irec_msgs/RobotState
 DAMPING = 1e-6  # of the pseudo-inverse
 RETREAT_SPEED = 0.05  # m/s
-HOLD, SILENT, FADE = 0.020, 0.100, 0.5  # s: an offset is held, then missed, then faded to zero
 NO_WRENCH = 0.1  # s without a wrench in force control: no advance
 LEAVING = "the robot is leaving the contact by itself: no force set point or no move came in time"
-BEHIND = 0.3  # s for which positions may lag behind what was sent
 
 
 @dataclass(frozen=True)
@@ -69,13 +69,14 @@ class PositionRobot:
 
     Attributes:
         mode: POSITION, FORCE or FAULT. message: reason of a fault, or why the robot left the contact by itself.
-        expired: leases that ran out. offset: applied now, (6,): m and rotation vector, in base_link. late_offsets: count.
+        expired: leases that ran out.
     """
 
     def __init__(self, planner: Planner, settings: Settings | None = None) -> None:
         self._planner, self.settings = planner, settings or Settings()
-        self.mode, self.message, self.expired, self.late_offsets = POSITION, "", 0, 0
-        self.offset = np.zeros(6)
+        self.mode, self.message, self.expired = POSITION, "", 0
+        self._offset = OffsetHold(self.settings.offset_limit, self.settings.offset_turn)
+        self._following = Following(self.settings.follow_limit)
         self._base: Array | None = None  # commanded positions without the offset, (k,)
         self._order: Order | None = None
         self._retreat = False
@@ -83,10 +84,17 @@ class PositionRobot:
         self._renewed = 0.0
         self._ramp_from: tuple[float, Array] | None = None
         self._stands: float | None = None  # since when in the contact in position control
-        self._wanted_offset, self._offset_at, self._missed = np.zeros(6), -math.inf, False
-        self._offset_share = 0.0
         self._tick_at = -math.inf
-        self._sent: list[tuple[float, Array]] = []
+
+    @property
+    def offset(self) -> Array:
+        """Applied now, (6,): m and rotation vector, in base_link."""
+        return self._offset.applied
+
+    @property
+    def late_offsets(self) -> int:
+        """Times at which an offset was missing for longer than it is held."""
+        return self._offset.late
 
     @property
     def in_motion(self) -> bool:
@@ -149,20 +157,14 @@ class PositionRobot:
 
     def set_offset(self, translation: Sequence[float], turn: Sequence[float], now: float) -> None:
         """Offset of the commanded TCP, m and rotation vector (3,) in base_link; what is beyond the limits is cut. MoveError."""
-        wanted = np.array([*translation, *turn], dtype=float)
-        if not np.isfinite(wanted).all():
-            raise MoveError(f"offset {wanted} is no transform")
-        for part, limit in ((slice(0, 3), self.settings.offset_limit), (slice(3, 6), self.settings.offset_turn)):
-            size = float(np.linalg.norm(wanted[part]))
-            wanted[part] *= min(1.0, limit / size) if size > 0.0 else 1.0
-        self._wanted_offset, self._offset_at, self._missed = wanted, now, False
+        self._offset.take(translation, turn, now)
 
     def fault(self, reason: str) -> None:
         """Nothing more is sent until the operator clears it."""
         if self.mode == FAULT:
             return
         self.mode, self.message = FAULT, reason
-        self._retreat, self._ramp_from, self._stands, self.offset = False, None, None, np.zeros(6)
+        self._retreat, self._ramp_from, self._stands, self._offset.applied = False, None, None, np.zeros(6)
         if self._order is not None:
             order, self._order = self._order, None
             order.ended(0.0, reason)
@@ -170,7 +172,7 @@ class PositionRobot:
     def clear_fault(self) -> None:
         """The operator has looked: position control, where the robot is."""
         self.mode, self.message, self._base = POSITION, "", None
-        self._sent.clear()
+        self._following.forget()
 
     # --- one tick -----------------------------------------------------------------------------------------------------
 
@@ -186,7 +188,7 @@ class PositionRobot:
             return None
         if self._base is None:
             self._base = reported.copy()
-        if problem := self._not_following(now, reported):
+        if problem := self._following.problem(now, reported):
             self.fault(problem)
             return None
         if self.mode == FORCE:
@@ -195,24 +197,8 @@ class PositionRobot:
             self._stand(now, wrench)
         self._move(now)
         send = self._with_offset(now, dt)
-        self._sent.append((now, send))
+        self._following.sent(now, send)
         return send
-
-    def _not_following(self, now: float, reported: Array) -> str:
-        while len(self._sent) > 1 and self._sent[1][0] < now - BEHIND:
-            self._sent.pop(0)
-        if not self._sent or self._sent[0][0] > now - BEHIND:
-            return ""
-        low = np.min([s for _, s in self._sent], axis=0) - self.settings.follow_limit
-        high = np.max([s for _, s in self._sent], axis=0) + self.settings.follow_limit
-        off = np.maximum(low - reported, reported - high)
-        k = int(np.argmax(off))
-        if off[k] <= 0.0:
-            return ""
-        return (
-            f"axis {k + 1} is at {reported[k]:.4f}, within the last {BEHIND:g} s it was sent to {self._sent[-1][1][k]:.4f}:"
-            " the robot does not follow; is its trajectory controller active?"
-        )
 
     def _press(self, now: float, dt: float, wrench: tuple[float, Array] | None) -> None:
         s = self.settings
@@ -292,30 +278,20 @@ class PositionRobot:
             order.ended(order.motion.fraction(t), "")
 
     def _with_offset(self, now: float, dt: float) -> Array:
-        age = now - self._offset_at
-        if self.mode != POSITION or self._retreat:
-            self._offset_share = 0.0
-        elif age <= SILENT:
-            if age > HOLD and not self._missed:
-                self._missed = True
-                self.late_offsets += 1
-            self._offset_share = min(1.0, self._offset_share + dt / FADE)
-        else:
-            self._offset_share = max(0.0, self._offset_share - dt / FADE)
-        self.offset = self._offset_share * self._wanted_offset
+        offset = self._offset.tick(now, dt, self.mode == POSITION and not self._retreat)
         base = self.commanded
-        if not self.offset.any():
+        if not offset.any():
             return base.copy()
         _, _, J = self._planner.chain.forward(base[None, : self._planner.n])
         sent = base.copy()
-        sent[: self._planner.n] += _inverse(J[0]) @ self.offset
+        sent[: self._planner.n] += _inverse(J[0]) @ offset
         return sent
 
     def _freeze(self) -> None:
         """What is sent stays, with the offset in it, so that nothing jumps when the offset is not applied any more."""
-        if self._sent:
-            self._base = self._sent[-1][1].copy()
-        self._offset_share = 0.0
+        if self._following.last is not None:
+            self._base = self._following.last.copy()
+        self._offset.drop()
 
     def _take(self, asked: Sequence[float]) -> None:
         force = np.array(asked, dtype=float)
