@@ -6,7 +6,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..declared import Thresholds, threshold
-from ..identification.settings import ABSOLUTE, IDENTIFIABILITY, AbsoluteThresholds, IdentifiabilityThresholds
+from ..identification.settings import (
+    ABSOLUTE,
+    IDENTIFIABILITY,
+    OUTLIERS,
+    AbsoluteThresholds,
+    IdentifiabilityThresholds,
+    OutlierThresholds,
+)  # fmt: skip
 from ..identification.validation import FEWEST_POSES
 
 
@@ -187,6 +194,7 @@ class Settings(Thresholds):
     proposed: ProposalThresholds = ProposalThresholds()
     absolute: AbsoluteThresholds = ABSOLUTE
     identifiability: IdentifiabilityThresholds = IDENTIFIABILITY
+    outliers: OutlierThresholds = OUTLIERS
 
 
 SETTINGS = Settings()

@@ -17,7 +17,7 @@ from ..typing import Array, BoolArray, IntArray
 from .noise import Whitening, position_sigma
 
 if TYPE_CHECKING:
-    from .outliers import BadRow
+    from .bad_rows import BadRow
 
 
 @dataclass(frozen=True)

@@ -67,5 +67,59 @@ class AbsoluteThresholds(Thresholds):
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class OutlierThresholds(Thresholds):
+    """When rows are called wrong. Robust standard deviations are of the norm of three coordinates."""
+
+    least: float = threshold(
+        7.0, "robust standard deviations", "below which nothing is called wrong", "normal noise: one row in a billion",
+    )  # fmt: skip
+    tail: float = threshold(
+        8.0, "distances of median and upper quartile", "beyond the upper quartile from which a row is an accident",
+        "chosen: heavy tails are no accident",
+    )  # fmt: skip
+    least_step: float = threshold(5.0, "robust standard deviations", "`least` of a step within a pose", "only an accident steps")
+    tail_step: float = threshold(6.0, "distances of median and upper quartile", "`tail` of such a step", "only an accident steps")
+    explained: float = threshold(0.6, "share of squares", "of a pose's residual that an accident must explain", "chosen: most")
+    most: float = threshold(0.2, "share of rows", "where more seem wrong, they are weighted only", "chosen")
+    rounds: int = threshold(8, "rounds", "of leaving rows out and looking again at most", "run time")
+    smallest_weight: float = threshold(1e-12, "weight", "of a row in the robust fits before anything is decided", "rounding")
+    certain: float = threshold(
+        25.0, "robust standard deviations", "from which a row of a loaded session is wrong whatever effect is missing",
+        "chosen: above what single effects of the catalogue do in one row",
+    )  # fmt: skip
+    certain_step: float = threshold(
+        150.0, "robust standard deviations", "the same for rows that moved together",
+        "chosen: a station that was bumped is an effect of the catalogue",
+    )  # fmt: skip
+    worst_first: float = threshold(
+        1e-4, "of the largest squared residual of a pose", "less waits for the next round", "what is far worse bends the fit",
+    )  # fmt: skip
+    starts: int = threshold(6, "robust fits", "before anything is decided, at most", "run time")
+    redescends: float = threshold(8.0, "robust standard deviations", "beyond which a row hardly counts in them", "as `least`")
+    fewest_blocks: int = threshold(6, "poses", "with fewer nothing is called wrong by its neighbours", "chosen")
+    common: float = threshold(
+        0.9, "share of squares", "of displacements along one axis that makes flagged rows a common cause", "chosen: nearly all",
+    )  # fmt: skip
+    common_size: float = threshold(30.0, "robust standard deviations", "up to which a common cause is thought of", "chosen")
+    common_poses: int = threshold(3, "poses", "in which a common cause shows at least", "two alike may be chance")
+    down_weighted: float = threshold(
+        0.35, "weight by Student's t", "below which a row is down-weighted; above, it counts in full", "chosen",
+    )  # fmt: skip
+    tails_at_most: float = threshold(0.04, "share of rows", "that may be down-weighted", "more are structure")
+    sparse: float = threshold(
+        0.25, "share of rows", "in which play of an axis shows at most to be told from an effect that bends many poses", "chosen",
+    )  # fmt: skip
+    along: float = threshold(0.97, "cosine", "of a displacement with what play does there", "14 degrees")
+    force_factor: float = threshold(30.0, "times", "between the force of a row and that of its load case elsewhere", "chosen")
+    elsewhere_rad: float = threshold(
+        0.1, "rad", "of joint angles from those of their pose at least", "near a singularity a wrist turns by 0.02 within a pose",
+    )  # fmt: skip
+    elsewhere_usual: float = threshold(20.0, "times what is usual", "of joint angles from those of their pose at least", "chosen")
+    same_joints_rad: float = threshold(2e-3, "rad", "within which joint angles are taken for those of another pose", "chosen")
+    nest_m: float = threshold(0.02, "m", "further off, another nest is likelier than a knock", "chosen: the size of a reflector")
+
+
 IDENTIFIABILITY = IdentifiabilityThresholds()
 ABSOLUTE = AbsoluteThresholds()
+OUTLIERS = OutlierThresholds()

@@ -24,7 +24,7 @@ from irec_calibration.effects.scene import Scene
 from irec_calibration.errors import Cancelled, EffectError, ModelError
 from irec_calibration.identification.identify import identify
 from irec_calibration.identification.provenance import model_of
-from irec_calibration.identification.settings import ABSOLUTE, IDENTIFIABILITY
+from irec_calibration.identification.settings import ABSOLUTE, IDENTIFIABILITY, OUTLIERS
 from irec_calibration.model import EIGHTEEN_DOF, Model, blank_model
 from irec_calibration.model.file import load_model, save_model
 from irec_calibration.session import Noise, Session
@@ -161,7 +161,11 @@ def test_the_result_file_tells_noise_evidence_and_thresholds() -> None:
     assert data["verdict"]["remaining_m"] > 0.0
     assert all({"value", "unit", "meaning", "derived"} <= set(s) for s in data["settings"].values())
     assert data["settings"]["nats_to_name"]["value"] == SETTINGS.nats_to_name
-    for name, used in (("absolute.near", ABSOLUTE.near), ("identifiability.alone", IDENTIFIABILITY.alone)):
+    for name, used in (
+        ("absolute.near", ABSOLUTE.near),
+        ("identifiability.alone", IDENTIFIABILITY.alone),
+        ("outliers.certain", OUTLIERS.certain),
+    ):
         assert data["settings"][name]["value"] == used, "thresholds of the identification are recorded as they are used"
 
 
