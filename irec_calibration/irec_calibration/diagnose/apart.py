@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..identification.observe import Observation
-from .family import TYPICAL_DISPLACEMENT, Structure
+from .directions import TYPICAL_DISPLACEMENT
+from .family import Structure
 from .remainder import Part
 
 

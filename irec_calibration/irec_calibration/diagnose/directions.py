@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Along what a structure of the generic family may act: forces, turns of axes, instruments, shaped by variables of the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from ..typing import Array, IntArray
+from .study import Study
+
+DEGREE = 3  # of a curve over one variable
+TYPICAL_DISPLACEMENT = 3e-5  # m; what a coefficient of 1 moves; the amplitude itself is inferred
+
+
+@dataclass(frozen=True)
+class Direction:
+    """Columns along which a structure may act, or all of a structure.
+
+    Attributes:
+        words: along what; variables: what they depend on already; columns: (n, 3, d), m; axis: the one that they turn, if one;
+            law_of, by_step, is_drift: see `Structure`.
+    """
+
+    words: str
+    variables: tuple[str, ...]
+    columns: Array
+    axis: int | None = None
+    law_of: int | None = None
+    by_step: bool = False
+    is_drift: bool = False
+
+
+def varying(study: Study) -> dict[str, Array]:
+    """Variables of a session that are there in every row and vary, name -> (n,)."""
+    scene = study.ready
+    loaded = study.observation.rows
+    total = scene.load_torque()
+    table: dict[str, Array] = {}
+    if scene.clock == "time":
+        table["stamp"] = scene.stamp
+    table |= {f"temp_{n}": v for n, v in scene.temperature.items()}
+    table |= {f"ext_{n}": v for n, v in scene.ext.items()}
+    table |= {f"joint_{k + 1}": scene.q[:, k] for k in range(scene.n_joints)}
+    table |= {f"tau_{k + 1}": total[:, k] for k in range(scene.n_joints)}
+    table |= {f"force_{a}": scene.force_in_tool[:, i] for i, a in enumerate("xyz")}
+    return {
+        name: values
+        for name, values in table.items()
+        if np.isfinite(values).all() and np.ptp(values[loaded]) > 1e-9 * max(1.0, float(np.abs(values[loaded]).max()))
+    }
+
+
+def curve(values: Array, seen: Array, degree: int = DEGREE) -> Array:
+    """Legendre polynomials over the range of the seen values, (n, degree), without the constant."""
+    middle, half = 0.5 * (seen.max() + seen.min()), max(0.5 * float(np.ptp(seen)), 1e-300)
+    u = np.clip((values - middle) / half, -1.2, 1.2)
+    out: Array = legendre.legvander(u, degree)[:, 1:]
+    return out
+
+
+def shapes(study: Study) -> dict[str, Array]:
+    """Shapes over the rows of each variable that varies, name -> (n, m); columns of order 1."""
+    scene = study.ready
+    loaded = study.observation.rows
+    out = {name: curve(values, values[loaded]) for name, values in varying(study).items()}
+    cases = np.unique(scene.load_case[loaded])
+    if len(cases) > 1:
+        out["load_case"] = (scene.load_case[:, None] == cases).astype(float)
+    return out
+
+
+def _scaled(columns: Array, rows: IntArray) -> Array:
+    """Columns (n, 3, d) scaled so that their largest typical displacement in the rows is the typical one."""
+    size = np.sqrt((columns[rows] ** 2).sum(axis=1).mean(axis=0)).max(initial=0.0)
+    return columns * (TYPICAL_DISPLACEMENT / max(float(size), 1e-300))
+
+
+def directions(study: Study) -> Iterator[Direction]:
+    """Directions along which a structure may act: words, variables that they bring along, columns (n, 3, d) in m."""
+    scene = study.ready
+    rows = study.observation.rows
+    on = ((scene.load_case > 0) if scene.kind == "loaded" else np.ones(len(scene), dtype=bool))[:, None, None].astype(float)
+    tau = scene.load_torque()
+    yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
+    yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
+    yield Direction("along the elastic deflection", (), _scaled(scene.response.displacement[:, :, None] * on, rows))
+    yield Direction("as a force at the tool", (), _scaled(scene.response.compliance[:, :, :3] * on, rows))
+    angle = _scaled(scene.J * on, rows)
+    size = np.maximum(np.sqrt((tau[rows] ** 2).mean(axis=0)), 1e-9)
+    twist = angle * (tau / size)[:, None, :]
+    yield Direction("turning the axes", (), angle)
+    yield Direction("as compliance of the axes", (), twist)
+    for k in range(scene.n_joints):
+        yield Direction(f"turning axis {k + 1}", (), angle[:, :, k : k + 1], k)
+        yield Direction(f"as compliance of axis {k + 1}", (f"tau_{k + 1}",), twist[:, :, k : k + 1], k)
+
+
+def shaped(study: Study) -> Iterator[Direction]:
+    """Smooth functions of one variable along every direction."""
+    forms = shapes(study)
+    for d in directions(study):
+        for name, shape in forms.items():
+            columns = (d.columns[:, :, :, None] * shape[:, None, None, :]).reshape(len(shape), 3, -1)
+            # an axis that its own torque turns by any curve: what stiffening, play and friction of that axis are forms of
+            law_of = d.axis if d.axis is not None and name == f"tau_{d.axis + 1}" else None
+            yield Direction(d.words, (name, *(v for v in d.variables if v != name)), columns, d.axis, law_of)
+
+
+def two_variables(study: Study) -> Iterator[Direction]:
+    """Functions of two variables that turn one axis: torque with its own angle, gravity, history, or another torque."""
+    scene, rows = study.ready, study.observation.rows
+    angle = _scaled(scene.J * ((scene.load_case > 0)[:, None, None] if scene.kind == "loaded" else 1.0), rows)
+    tau = scene.load_torque()
+    size = np.maximum(np.abs(tau[rows]).max(axis=0), 1e-9)
+    t = tau / size
+    q = scene.q
+    has = scene.previous >= 0
+    before = np.where(has[:, None], t[scene.previous], 0.0)
+    angle_free = _scaled(scene.J, rows)
+    for k in range(scene.n_joints):
+        if np.ptp(tau[rows, k]) <= 1e-6:
+            continue
+        own = angle[:, :, k : k + 1]
+        rotary = not bool(scene.kin.is_prismatic[k])
+        turn = curve(q[:, k], q[rows, k])
+        if rotary:
+            turn = np.stack([f(n * q[:, k]) for n in (1, 2) for f in (np.sin, np.cos)], axis=1)
+        yield Direction(
+            f"as compliance of axis {k + 1}, over its turn",
+            (f"joint_{k + 1}", f"tau_{k + 1}"),
+            own * (t[:, k : k + 1] * turn)[:, None, :],
+            k,
+        )
+        both = np.stack([t[:, k] ** 2, t[:, k] * np.abs(t[:, k]), t[:, k] ** 3], axis=1)
+        shape = np.column_stack([both, both * curve(q[:, k], q[rows, k], 1)])
+        names = (f"tau_{k + 1}", f"joint_{k + 1}")
+        yield Direction(f"nonlinear in the torque of axis {k + 1} and its angle", names, own * shape[:, None, :], k)
+        total = tau[:, k] + (scene.tau_gravity[:, k] if scene.kind == "loaded" else 0.0)
+        yield Direction(
+            f"nonlinear in the whole torque of axis {k + 1}, gravity included",
+            (f"tau_{k + 1}",),
+            angle_free[:, :, k : k + 1] * curve(total, total[rows], 5)[:, None, :],
+            k,
+            law_of=k,
+        )
+        if has.any() and scene.kind == "loaded":
+            change = t[:, k] - before[:, k]
+            history = np.stack([before[:, k], before[:, k] ** 2, before[:, k] * t[:, k], np.tanh(5.0 * change)], axis=1)
+            words = f"turning axis {k + 1} by its torque before"
+            yield Direction(words, (f"tau_{k + 1}", "load_case"), own * history[:, None, :], k)
+        step = scene.step[:, k] / max(float(np.abs(scene.step[rows, k]).max()), 1e-12)
+        if np.ptp(step[rows]) > 1e-6 and scene.clock != "none":
+            driven = np.stack([step, step * np.abs(step), np.sign(step)], axis=1)
+            words = f"turning axis {k + 1} by the step before"
+            columns = angle_free[:, :, k : k + 1] * driven[:, None, :]
+            yield Direction(words, (f"joint_{k + 1}",), columns, k, by_step=True)
+        for other in range(scene.n_joints):
+            if other != k:
+                product = np.stack([t[:, k] * t[:, other], t[:, other]], axis=1)
+                yield Direction(
+                    f"turning axis {k + 1} by two torques",
+                    (f"tau_{k + 1}", f"tau_{other + 1}"),
+                    own * product[:, None, :],
+                    k,
+                )
+
+
+def plain(study: Study) -> Iterator[Direction]:
+    """Structures that need no variable of their own."""
+    scene, rows = study.ready, study.observation.rows
+    by_torque = scene.response.compliance[:, :, 3:]
+    beside = np.stack([np.einsum("nij,nj->ni", by_torque, np.cross(e, scene.force_in_tool)) for e in np.eye(3)], axis=2)
+    yield Direction("as if the force acted beside the TCP", ("load_case", f"tau_{scene.n_joints}"), _scaled(beside, rows))
+    on = ((scene.load_case > 0) if scene.kind == "loaded" else np.ones(len(scene), dtype=bool))[:, None, None].astype(float)
+    yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
+    yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
+    if scene.kind == "loaded" and np.any(scene.previous >= 0):
+        has = scene.previous >= 0
+        last = np.where(has[:, None], scene.force_in_tool[scene.previous], 0.0)
+        memory = scene.response.compliance[:, :, :3] * last[:, None, :]
+        yield Direction("as if a share of the force before were still there", ("load_case",), _scaled(memory, rows))
+        change = scene.force_in_tool - last
+        lag = scene.response.compliance[:, :, :3] * np.abs(change)[:, None, :]
+        yield Direction("as if the change of the force were read wrongly", ("load_case",), _scaled(lag, rows))
+
+
+def drifts(study: Study) -> Iterator[Direction]:
+    """What follows time or a temperature in every row and differs over the poses."""
+    scene = study.ready
+    if scene.measured_from_station is None:
+        return
+    far = np.linalg.norm(np.nan_to_num(scene.measured_from_station), axis=1)
+    reach = scene.p_tcp / max(float(np.linalg.norm(scene.p_tcp, axis=1).max()), 1e-9)
+    by_reach = np.einsum("ni,jk->njik", reach, np.eye(3)).reshape(len(far), 3, -1)
+    loaded = study.observation.rows
+    for name, values in varying(study).items():
+        if name != "stamp" and not name.startswith("temp_"):
+            continue
+        change = study.observation.of(np.tile(values[:, None], (1, 3)))[:, 0]
+        size = float(np.abs(change).max())
+        if size <= 1e-9 * max(1.0, float(np.abs(values).max())):
+            continue
+        course = (values - values[loaded].mean()) / size * TYPICAL_DISPLACEMENT
+        square = np.eye(3) * (course * (far / max(far.max(), 1e-9)) ** 2)[:, None, None]
+        yield Direction(f"{name}: growing with the square of the distance", (name,), square, is_drift=True)
+        yield Direction(f"{name}: growing with the reach", (name,), by_reach * course[:, None, None], is_drift=True)
+        yield Direction(f"{name}: turning the axes", (name,), scene.J * course[:, None, None], is_drift=True)
+        yield Direction(f"{name}: along the tool", (name,), scene.kin.R_tool * course[:, None, None], is_drift=True)
