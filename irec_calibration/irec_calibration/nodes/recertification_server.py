@@ -18,6 +18,7 @@ from irec_msgs.srv import ActivateModel, PutInForce, Recalibrate
 from ..cell import Cell
 from ..errors import Cancelled, IrecError
 from ..procedure.settings import read_acceptance
+from ..recertification.advice import RESUME, apart, with_advice
 from ..recertification.flow import Outcome, recertify
 from ..recertification.preconditions import not_an_operator
 from ..recertification.readings import MANNED
@@ -29,7 +30,7 @@ from .caller_watch import CallerWatch
 from .cell_side import Report, RosCell
 
 UNCHANGED = "The calibration in force was not changed."
-GO_ON_LATER = "Do this now: to go on after the last complete pose, call irec/recertify with resume."
+GO_ON_LATER = f"to go on after the last complete pose, {RESUME}."
 
 
 class RecertificationServer:
@@ -122,7 +123,7 @@ class RecertificationServer:
             result.session_path, result.certificate_path = outcome.session_path, str(certificate or "")
             goal.succeed()
         except Cancelled as error:
-            result.verdict, result.text = "failed: cancelled", f"{error}. {UNCHANGED} {GO_ON_LATER}"
+            result.verdict, result.text = "failed: cancelled", with_advice(f"{error}. {UNCHANGED}", GO_ON_LATER)
             if goal.is_cancel_requested:
                 goal.canceled()
             else:
@@ -132,7 +133,7 @@ class RecertificationServer:
                 self._node.get_logger().error(f"unexpected error in irec/recertify: {type(error).__name__}: {error}")
             result.verdict, result.text = (
                 f"failed: {str(error).partition('. ')[0]}",
-                _with_advice(str(error), interrupted(self.store)),
+                _ended(str(error), interrupted(self.store)),
             )
             goal.abort()
         result.model_path = self._in_force_path()
@@ -158,7 +159,7 @@ class RecertificationServer:
             watch = CallerWatch(self._node, "irec/recalibrate")
             outcome, _ = self._carry_out(request, list(MANNED), lambda *_: None, watch.gone)
         except Exception as error:  # the caller is always answered
-            response.verdict = f"The recalibration was not finished: {_with_advice(str(error), interrupted(self.store))}"
+            response.verdict = f"The recalibration was not finished: {_ended(str(error), interrupted(self.store))}"
             self._node.get_logger().error(response.verdict)
             return response
         response.success = outcome.judgement is not None
@@ -202,15 +203,15 @@ class RecertificationServer:
 
 def _not_answered(error: Exception, _: Any) -> Recertify.Result:
     text = f"unexpected error: {type(error).__name__}: {error}"
-    return Recertify.Result(verdict=f"failed: {text}", text=_with_advice(text, ""))
+    return Recertify.Result(verdict=f"failed: {text}", text=_ended(text, ""))
 
 
-def _with_advice(error: str, waiting: str) -> str:
+def _ended(error: str, waiting: str) -> str:
     """An error that ended a run, for the person at the cell: what is in force, then what to do now.
 
     Args:
         waiting: the run that can be gone on with; empty: none.
     """
-    what, found, advice = error.partition("Do this now:")
-    otherwise = f"mend that, then {'call irec/recertify with resume' if waiting else 'start again'}"
-    return f"{what.strip().rstrip('.')}. {UNCHANGED} Do this now: {advice.strip() if found else otherwise}."
+    what, now = apart(error)
+    otherwise = f"mend that, then {RESUME if waiting else 'start again'}"
+    return with_advice(f"{what.rstrip('.')}. {UNCHANGED}", f"{now or otherwise}.")

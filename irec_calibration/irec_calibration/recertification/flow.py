@@ -22,6 +22,7 @@ from ..model.file import save_model
 from ..poses.store import PoseList, read_poses, write_poses
 from ..session import Session, read_session, write_table
 from ..typing import Json
+from .advice import RESUME, with_advice
 from .journal import Entry
 from .judgement import Judgement, Missing, judge, with_diagnosis
 from .preconditions import Precondition, own_preconditions, told
@@ -32,8 +33,8 @@ from .run_state import Run, begin, compared_with, session_of
 from .station import with_stations_found
 from .store import Store
 
-GO_ON = "Do this now: mend that, then call irec/recertify with resume; it goes on after the last complete pose"
-CHECK_A_PART = "Do this now: check one part at reduced speed."
+GO_ON = f"mend that, then {RESUME}; it goes on after the last complete pose"
+CHECK_A_PART = "check one part at reduced speed."
 
 
 class CellSide(Protocol):
@@ -100,7 +101,7 @@ def recertify(place: Place, store: Store, request: Request, side: CellSide) -> O
     if missing:
         text = " ".join(f"{p.name}: {p.text}." for p in missing)
         again = " and ".join(p.name for p in missing)
-        text = f"Nothing was moved. {text} Do this now: put that right ({again}), then start again."
+        text = with_advice(f"Nothing was moved. {text}", f"put that right ({again}), then start again.")
         return Outcome(f"failed: {missing[0].name}", text, preconditions=found)
     run = begin(store, request)
     now = compared_with(store, run)
@@ -121,7 +122,7 @@ def recertify(place: Place, store: Store, request: Request, side: CellSide) -> O
         side.report("procedure", "the full procedure")
         why = side.run(Path(run.poses_path), run.session, run.session.exists(), lambda: False)
         if why:
-            raise IrecError(f"{why.rstrip('.')}. {GO_ON}")
+            raise IrecError(with_advice(f"{why.rstrip('.')}.", GO_ON))
         run.stage = "judgement"
         run.save()
     side.report("judgement", "identifying the calibration anew and comparing it with the one in force")
@@ -151,7 +152,7 @@ def _quick_check(
         why = side.run(poses, run.session, run.session.exists(), enough)
         enough()
     if not results or (why and results[-1].decision == "undecided"):
-        raise IrecError(f"{(why or 'no pose of the quick check could be used').rstrip('.')}. {GO_ON}")
+        raise IrecError(with_advice(f"{(why or 'no pose of the quick check could be used').rstrip('.')}.", GO_ON))
     return results[-1], chosen
 
 
@@ -194,7 +195,7 @@ def _checked(store: Store, run: Run, quick: QuickResult, chosen: QuickPlan, foun
     elif quick.decision == "changed":
         verdict, text = "failed: the robot has changed", quick.text
     else:
-        verdict, text = "failed: not decided", f"{quick.text} Do this now: run the full procedure."
+        verdict, text = "failed: not decided", with_advice(quick.text, "run the full procedure.")
     figures = {"poses": quick.poses, "odds_of_change": quick.e_value, "like": list(quick.like), "run": run.folder.name}
     if store.of_run(run.folder.name, "checked") is None:
         store.record_check(verdict, run.operator, figures)
@@ -224,16 +225,14 @@ def _judge(place: Place, store: Store, run: Run, model: Model | None, before: Se
         return replace(outcome, text=f"{outcome.text} This was a dry run: nothing was put in force. To do that: {how}.")
     refused = side.activate(store.model_path(entry.calibration))
     if refused:
-        text = (
-            f"{outcome.text} It is stored as {number} but not in force: {refused.rstrip('.')}. Do this now: mend that, then put"
-            f" it in force ({how}); nothing has to be measured again."
-        )
+        stored = f"{outcome.text} It is stored as {number} but not in force: {refused.rstrip('.')}."
+        text = with_advice(stored, f"mend that, then put it in force ({how}); nothing has to be measured again.")
         return replace(outcome, text=text)
     now = store.in_force_entry()
     if now is None or now.calibration != entry.calibration:
         store.put_in_force(entry.calibration, run.operator)
     kept = "; the one before it was kept" if model is not None else ""
-    return replace(outcome, activated=True, text=f"{outcome.text} It is now in force{kept}. {CHECK_A_PART}")
+    return replace(outcome, activated=True, text=with_advice(f"{outcome.text} It is now in force{kept}.", CHECK_A_PART))
 
 
 def _close(store: Store, run: Run, outcome: Outcome) -> Outcome:

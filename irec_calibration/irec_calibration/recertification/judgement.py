@@ -17,10 +17,12 @@ from ..model import EIGHTEEN_DOF, Estimate, Model, Term, axis_compliances, blank
 from ..procedure.settings import Acceptance
 from ..session import Session
 from ..typing import Array, IntArray, Json
+from .advice import with_advice
 from .quick_check import QuickResult, check, reference_of
 from .station import with_stations_found
 from .verdict import Kind, kind_of
 
+ENGINEER = "have an engineer look at it."
 MATTERS = 0.05  # share of the tolerance: an effect that is missing by less is left to the next model
 
 
@@ -153,7 +155,7 @@ def with_diagnosis(judgement: Judgement, missing: Missing, tolerance: float) -> 
             return judgement  # it says what to do now; the certificate has what the diagnosis says
         name = missing.effects[0]
         what = ", ".join([name, *missing.parts.get(name, ())])
-        text = f"The robot does something that its model lacks: {missing.text} Do this now: have an engineer look at it."
+        text = with_advice(f"The robot does something that its model lacks: {missing.text}", ENGINEER)
         return replace(judgement, verdict=f"investigate: {what}", text=text)
     return judgement
 
@@ -206,7 +208,9 @@ def _verdict(
             if few
             else "check that tool, disc and tracker are fast, then measure again"
         )
-        return f"failed: {failed[0]}", f"{error} It is not put in force, because {'; and '.join(failed)}. Do this now: {advice}."
+        return f"failed: {failed[0]}", with_advice(
+            f"{error} It is not put in force, because {'; and '.join(failed)}.", f"{advice}."
+        )
     if in_force is None:
         return "recalibrated", f"{error} It is the first calibration of this robot."
     if change is None or change.decision != "changed":
@@ -216,13 +220,14 @@ def _verdict(
     looks = _looked_at(change)
     if looks:
         words = " or ".join(change.words[n] for n in change.like[:3])
-        text = (
+        found = (
             f"{error} The robot has changed in a way that a new calibration should not hide. It looks like: {words}. The new"
-            f" calibration is stored but not in force. Do this now: {_where_to_look(change)}; mend what you find, measure again."
+            " calibration is stored but not in force."
         )
+        text = with_advice(found, f"{_where_to_look(change)}; mend what you find, measure again.")
         return f"investigate: {' or '.join(looks)}", text
     if rms_new > rms_old * a.max_ratio_to_old:
-        text = f"{error} The robot has changed, but the new calibration is no better. Do this now: have an engineer look at it."
+        text = with_advice(f"{error} The robot has changed, but the new calibration is no better.", ENGINEER)
         return "failed: the new calibration is not better than the one in force", text
     likely = " or ".join(change.words[n] for n in change.like[:3])
     return "recalibrated", f"{error} The robot has changed: {likely}. The new calibration takes that into account."

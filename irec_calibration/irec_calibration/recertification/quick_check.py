@@ -33,6 +33,7 @@ from ..identification.observe import Observation
 from ..model import Term, regressors, total_displacement
 from ..session import Session
 from ..typing import Array
+from .advice import with_advice
 from .changes import Change, changes
 from .station import with_stations_found
 
@@ -213,11 +214,9 @@ def _decide(looked_for: Sequence[Change], least: Array, z: Array, information: A
     order = np.argsort(-by_change)
     like = tuple(looked_for[i].name for i in order if by_change[i] > by_change[order[0]] - np.log(20.0))
     if e_value >= 1.0 / FALSE_ALARM and poses >= FEWEST_TO_ALARM:
-        text = (
-            f"The robot has changed since its calibration (odds {odds_text(e_value)} after {poses} poses). It looks like: "
-            + " or ".join(words[n] for n in like[:3])
-            + ". Do this now: run the full recalibration."
-        )
+        odds, looks = odds_text(e_value), " or ".join(words[n] for n in like[:3])
+        text = f"The robot has changed since its calibration (odds {odds} after {poses} poses). It looks like: {looks}."
+        text = with_advice(text, "run the full recalibration.")
         return QuickResult("changed", e_value, ratio, size, like, poses, text, named, words)
     lowest = ndtri(MISSED / 2.0)  # of (estimate - size) / standard error, for a robot that has changed by just that size
     excluded = {

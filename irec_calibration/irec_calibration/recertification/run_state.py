@@ -14,6 +14,7 @@ from ..errors import IrecError, ModelError
 from ..files import read_document
 from ..model import Model
 from ..session import Session, read_session
+from .advice import with_advice
 from .journal import Entry
 from .request import Request
 from .store import Store, sync
@@ -63,7 +64,7 @@ def begin(store: Store, request: Request) -> Run:
     if request.resume:
         run = last_run(store)
         if run is None:
-            raise IrecError("there is no interrupted run to go on with. Do this now: start without resume")
+            raise IrecError(with_advice("there is no interrupted run to go on with.", "start without resume"))
         run.operator = request.operator  # who answers for it from now on
         run.save()
         return run
@@ -93,7 +94,7 @@ def compared_with(store: Store, run: Run) -> tuple[Entry, Path, Model] | None:
         return store.calibration(run.in_force) if run.in_force else None
     if run.stage == "quick_check":
         changed = f"calibration {number or 'none'} is in force now, {run.in_force or 'none'} was when the run began"
-        raise IrecError(f"the run can't go on: {changed}. Do this now: start without resume")
+        raise IrecError(with_advice(f"the run can't go on: {changed}.", "start without resume"))
     return now
 
 
@@ -103,7 +104,7 @@ def last_run(store: Store) -> Run | None:
         try:
             content = read_document(path, RUN_FORMAT, "state of a run", ModelError).data
         except ModelError as error:
-            raise ModelError(f"{error}. Do this now: remove the folder {path.parent} and start again") from error
+            raise ModelError(with_advice(f"{error}.", f"remove the folder {path.parent} and start again")) from error
         run = Run(path.parent, **{k: v for k, v in content.items() if k != "format"})
         return run if run.stage in OPEN_STAGES else None
     return None

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import IrecError
+from ..recertification.advice import NOW, apart, asks_to_resume
 from ..recertification.journal import Entry
 from ..recertification.readings import MANNED
 from ..recertification.verdict import Kind, kind_of
@@ -58,10 +59,10 @@ def light_of(result: Mapping[str, Any]) -> Light:
 
 def _now_apart(text: str) -> tuple[str, str]:
     """A text that ends in what to do now, in two parts."""
-    before, found, after = text.partition("Do this now:")
-    if "irec/recertify with resume" in after:  # what to call is for programs
-        after = f"mend what it says, if anything. Then press Recalibrate and tick {GO_ON!r}"
-    return before.strip() or text, f"Do this now: {after.strip()}" if found else ""
+    found, now = apart(text)
+    if asks_to_resume(now):  # what to call is for programs
+        now = f"mend what it says, if anything. Then press Recalibrate and tick {GO_ON!r}"
+    return found or text, f"{NOW} {now}" if now else ""
 
 
 def how_far(progress: Mapping[str, Any] | None) -> tuple[float, str]:
