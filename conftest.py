@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import fcntl
 import importlib.util
 import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +18,7 @@ import pytest
 ROOT = Path(__file__).parent
 sys.path.append(str(ROOT / "tools"))
 
-from demo_parts.domain import in_use  # noqa: E402
+from demo_parts.domain import take_domain  # noqa: E402
 
 FIRST_DOMAIN, LAST_DOMAIN = 60, 99  # below 101, where Linux hands out ephemeral ports
 STOP_SECONDS = 10.0
@@ -41,26 +39,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A ROS_DOMAIN_ID that nobody on this machine uses now; set in the environment together with LOCALHOST."""
-    for domain in range(FIRST_DOMAIN, LAST_DOMAIN + 1):
-        try:
-            lock = open(Path(tempfile.gettempdir()) / f"irec-ros-domain-{domain}.lock", "w")
-        except PermissionError:  # somebody else's
-            continue
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-            continue
-        if in_use(domain):
-            lock.close()
-            continue
+    try:
+        domain, lock = take_domain(FIRST_DOMAIN, LAST_DOMAIN)
+    except ValueError as error:
+        pytest.fail(str(error))
+    with lock:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(ROOT / "config" / "fastdds_localhost.xml"))
         yield domain
-        lock.close()
-        return
-    pytest.fail(f"no free ROS domain between {FIRST_DOMAIN} and {LAST_DOMAIN}")
 
 
 @pytest.fixture

@@ -20,22 +20,30 @@ def in_use(domain: int) -> bool:
     return any(first <= port < first + PORTS[1] for port in ports)
 
 
-def free_domain() -> int:
-    """A domain id, locked until this process ends.
+def take_domain(first: int, last: int) -> tuple[int, IO[str]]:
+    """A domain id that nobody on this machine uses, and its lock, which holds while it is open.
 
     Raises:
-        ValueError: all are taken.
+        ValueError: all of first to last are taken.
     """
-    for domain in range(FIRST, LAST + 1):
-        lock = open(Path(tempfile.gettempdir()) / f"irec-ros-domain-{domain}.lock", "w")
+    for domain in range(first, last + 1):
+        try:
+            lock = open(Path(tempfile.gettempdir()) / f"irec-ros-domain-{domain}.lock", "w")
+        except PermissionError:  # somebody else's
+            continue
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             lock.close()
             continue
-        if in_use(domain):
-            lock.close()
-            continue
-        _held.append(lock)
-        return domain
-    raise ValueError(f"no free ROS domain between {FIRST} and {LAST}; other demos are running")
+        if not in_use(domain):
+            return domain, lock
+        lock.close()
+    raise ValueError(f"no free ROS domain between {first} and {last}; other demos or tests are running")
+
+
+def free_domain() -> int:
+    """A domain id, locked until this process ends. ValueError: all are taken."""
+    domain, lock = take_domain(FIRST, LAST)
+    _held.append(lock)
+    return domain

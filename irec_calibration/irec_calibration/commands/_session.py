@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions as commands take them from which something is identified: checked for plausibility first."""
+"""Sessions and models as commands take them and tell of them: checked for plausibility first, of the same robot."""
 
 from __future__ import annotations
 
 import argparse
+import json
 from dataclasses import replace
+from pathlib import Path
 
+from ..model import Model
+from ..model.file import check_belongs, load_model
 from ..session import Session, read_session
 from ..session.plausible import check_plausible, doubts
 
@@ -17,6 +21,26 @@ def configure_plausible(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="go on although the session can't be what it says (units, signs, columns, frames)",
     )
+
+
+def starting_model(args: argparse.Namespace, session: Session) -> Model | None:
+    """The model of `--model`, of this robot; None where none was given. ModelError: it is another robot's, or can't be read."""
+    model = load_model(args.model) if args.model else None
+    if model is not None:
+        check_belongs(model, session.robot, session.serial)
+    return model
+
+
+def tell_written(session: Session, output: Path, as_json: bool) -> int:
+    """Say what was written where; 0."""
+    if as_json:
+        summary = {"session": str(output), "poses": len(session.poses), "rows": len(session), "notes": list(session.notes)}
+        print(json.dumps(summary))
+    else:
+        for note in session.notes:
+            print(f"note: {note}")
+        print(f"{len(session.poses)} poses, {len(session)} rows; wrote {output}")
+    return 0
 
 
 def plausible_session(args: argparse.Namespace) -> Session:

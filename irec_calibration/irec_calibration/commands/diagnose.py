@@ -11,12 +11,11 @@ from pathlib import Path
 from ..diagnose import Diagnosis, diagnose, write_json
 from ..diagnose.tables import write_tables
 from ..identification.validation import ESTIMATOR
-from ..model.file import check_belongs, load_model
 from ..report.diagnosis import contradiction, write_diagnosis_report
 from ..report.next_steps import after_diagnosis, in_lines
 from ._progress import Progress
 from ._report import report
-from ._session import configure_plausible, plausible_session
+from ._session import configure_plausible, plausible_session, starting_model
 
 SHOWN, WIDTH = 5, 100
 
@@ -31,9 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     session = plausible_session(args)
-    model = load_model(args.model) if args.model else None
-    if model is not None:
-        check_belongs(model, session.robot, session.serial)
+    model = starting_model(args, session)
     result = diagnose(session, model, progress=Progress())
     folder = Path(args.output)
     path = write_json(result.to_json(), folder / "diagnosis.json")

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 
 from ..errors import SessionError
 from ..session import read_session, write_table
 from ..session.align import align_bag, in_words
+from ._session import tell_written
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -32,11 +32,4 @@ def run(args: argparse.Namespace) -> int:
     if output.resolve() == Path(args.session).resolve():
         raise SessionError(f"{output}: is the session itself; name another folder")
     folder = write_table(session, output)
-    if args.json:
-        summary = {"session": str(folder), "poses": len(session.poses), "rows": len(session), "notes": list(session.notes)}
-        print(json.dumps(summary))
-    else:
-        for note in session.notes:
-            print(f"note: {note}")
-        print(f"{len(session.poses)} poses, {len(session)} rows; wrote {folder}")
-    return 0
+    return tell_written(session, folder, args.json)

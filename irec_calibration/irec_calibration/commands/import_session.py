@@ -5,7 +5,6 @@ recording to a session."""
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from ..session import Session, read_session, write_table
 from ..session.align import align_bag, in_words
 from ..session.foreign import import_table
 from ..session.mcap_io import write_mcap
+from ._session import tell_written
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -28,14 +28,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     output = Path(args.output)
     if args.profile:
-        return _report(import_table(args.profile, args.session, output, args.name), output, args.json)
+        return tell_written(import_table(args.profile, args.session, output, args.name), output, args.json)
     if args.map:
-        return _report(_foreign_recording(Path(args.session), Path(args.map), output), output, args.json)
+        return tell_written(_foreign_recording(Path(args.session), Path(args.map), output), output, args.json)
     if output.suffix != ".mcap":
         raise SessionError(f"{output}: the name of the output must end in .mcap (`irec export` writes tables)")
     session = read_session(args.session)
     write_mcap(session, output)
-    return _report(session, output, args.json)
+    return tell_written(session, output, args.json)
 
 
 def _foreign_recording(bag: Path, mapping: Path, output: Path) -> Session:
@@ -50,14 +50,3 @@ def _foreign_recording(bag: Path, mapping: Path, output: Path) -> Session:
     else:
         write_table(session, output)
     return session
-
-
-def _report(session: Session, output: Path, as_json: bool) -> int:
-    if as_json:
-        summary = {"session": str(output), "poses": len(session.poses), "rows": len(session), "notes": list(session.notes)}
-        print(json.dumps(summary))
-    else:
-        for note in session.notes:
-            print(f"note: {note}")
-        print(f"{len(session.poses)} poses, {len(session)} rows; wrote {output}")
-    return 0

@@ -11,14 +11,14 @@ from pathlib import Path
 from ..diagnose import Ladder, improve, write_json
 from ..diagnose.tables import write_tables
 from ..identification.validation import ESTIMATOR
-from ..model.file import check_belongs, load_model, save_model
+from ..model.file import save_model
 from ..report import course
 from ..report.course import course_section, drive
 from ..report.ladder import write_ladder_report
 from ..report.next_steps import after_improvement, in_lines
 from ._progress import Progress
 from ._report import report
-from ._session import configure_plausible, plausible_session
+from ._session import configure_plausible, plausible_session, starting_model
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -34,9 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     session = plausible_session(args)
-    model = load_model(args.model) if args.model else None
-    if model is not None:
-        check_belongs(model, session.robot, session.serial)
+    model = starting_model(args, session)
     ladder = improve(session, model, progress=Progress())
     folder = Path(args.output)
     path = save_model(ladder.model, folder / "model.yaml")

@@ -11,13 +11,13 @@ from pathlib import Path
 from ..diagnose import Diagnosis, diagnose, write_json
 from ..diagnose.tables import write_tables
 from ..errors import IrecError
-from ..model.file import check_belongs, load_model
 from ..report.course import course_section, drive, in_words, with_named_effects
 from ..report.diagnosis import write_diagnosis_report
 from ..report.next_steps import after_diagnosis, in_lines
 from ..report.page import Section
 from ..session import Session, read_session
 from ._progress import Progress
+from ._session import starting_model
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -31,9 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     session = read_session(args.session)
-    model = load_model(args.model) if args.model else None
-    if model is not None:
-        check_belongs(model, session.robot, session.serial)
+    model = starting_model(args, session)
     if missing := [m for m in ("matplotlib", "jinja2") if importlib.util.find_spec(m) is None]:
         raise IrecError(f"a report needs {' and '.join(missing)}: pip install 'irec_calibration[report]'")
     result = diagnose(session, model, progress=Progress())

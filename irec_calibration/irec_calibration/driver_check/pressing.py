@@ -10,7 +10,7 @@ import numpy as np
 
 from ..procedure.plausible import what_is_read
 from ..typing import Array
-from .observed import Answer, Item, Observation
+from .observed import Answer, Item, Observation, Stream
 
 LEVEL = "pressing"
 OFF = 0.1  # share of the set point by which the mean force may be off
@@ -126,8 +126,7 @@ def _lease(p: Pressing) -> Iterator[Item]:
     force, state = p.after.streams.get("wrench"), p.after.streams.get("robot/state")
     if p.lease <= 0.0 or force is None or not len(force.stamp):
         return
-    gone = force.stamp[np.abs(force.value[:, 2]) < LEFT]
-    late = float(gone[0] - p.last_sent) if len(gone) else np.inf
+    late = _gone_after(force, p.last_sent)
     yield _item(
         "the force goes when no set point comes",
         late <= p.lease + LEASE_SLACK,
@@ -165,12 +164,17 @@ def _lease(p: Pressing) -> Iterator[Item]:
         )
 
 
+def _gone_after(force: Stream, since: float) -> float:
+    """Time from then to where the force has gone, s; inf: it has not."""
+    gone = force.stamp[np.abs(force.value[:, 2]) < LEFT]
+    return float(gone[0] - since) if len(gone) else np.inf
+
+
 def _left_alone(p: Pressing) -> Iterator[Item]:
     force = p.left.streams.get("wrench")
     if p.lease <= 0.0 or force is None or not len(force.stamp):
         return
-    gone = force.stamp[np.abs(force.value[:, 2]) < LEFT]
-    late = float(gone[0] - p.left_at) if len(gone) else np.inf
+    late = _gone_after(force, p.left_at)
     yield _item(
         "the force goes when no move comes after force control",
         0.5 * LEAVE <= late <= LEAVE + LEAVE_SLACK,

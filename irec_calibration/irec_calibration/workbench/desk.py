@@ -40,6 +40,7 @@ from ..poses.course import Course, course_of
 from ..report.judgement import judged
 from ..session import Session, read_session
 from .checklist import checklist
+from .free_names import free_path
 from .plain import Codecs, CourseView, EffectEntry, ParameterEntry, SessionView, Tried, Version
 from .view import view_of
 
@@ -254,21 +255,6 @@ def new_effect(text: str, model: Model) -> Effect:
     if effect.id in model.effects:
         raise ModelError(f"the model has the effect '{effect.id}' already")
     return effect
-
-
-def free_path(folder: Path, stem: str, suffix: str) -> Path:
-    """A path in a folder that nothing has yet: stem.yaml, stem-2.yaml, ... The file is created, empty."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for n in range(1, 10000):
-        path = folder / (f"{stem}{suffix}" if n == 1 else f"{stem}-{n}{suffix}")
-        try:
-            path.touch(exist_ok=False)
-        except FileExistsError:
-            continue
-        except OSError as error:
-            raise IrecError(f"{path}: can't be written: {error.strerror}") from error
-        return path
-    raise IrecError(f"{folder}: there are 9999 files {stem}{suffix} already")
 
 
 def changed(path: Path) -> float:

@@ -18,7 +18,8 @@ import yaml
 
 from ..errors import Cancelled, IrecError
 from ..typing import Array, BoolArray, IntArray
-from .desk import Desk, changed, free_path
+from .desk import Desk, changed
+from .free_names import free_folder, free_path
 from .plain import Codecs, CourseView, SessionView, Tried, Version
 from .versions import Past, Versions
 from .worker import Stock, Worker
@@ -282,17 +283,3 @@ class Room:
 
     def _notify(self) -> None:
         self.revision += 1
-
-
-def free_folder(root: Path, stem: str) -> Path:
-    """A folder that did not exist before."""
-    for n in range(1, 10000):
-        folder = root / (stem if n == 1 else f"{stem}-{n}")
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        except OSError as error:
-            raise IrecError(f"{folder}: can't be made: {error.strerror}") from error
-        return folder
-    raise IrecError(f"{root}: no free folder name")

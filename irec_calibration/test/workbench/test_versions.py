@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from irec_calibration.errors import IrecError
-from irec_calibration.workbench.desk import free_path
+from irec_calibration.workbench.free_names import free_path
 from irec_calibration.workbench.plain import Version
 from irec_calibration.workbench.versions import Versions, new_folder, past_work
 
