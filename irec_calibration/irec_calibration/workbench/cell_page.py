@@ -191,7 +191,8 @@ class CellPage:
         ui.download(pdf if pdf.is_file() else path)
 
     def _stored_certificate(self) -> Path | None:
-        assert self.cell is not None
+        if self.cell is None:
+            return None
         try:
             return Store(self.folder, self.cell.serial).last_certificate()
         except IrecError:
