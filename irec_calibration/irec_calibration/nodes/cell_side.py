@@ -9,18 +9,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from action_msgs.srv import CancelGoal
-from geometry_msgs.msg import PointStamped, WrenchStamped
-from irec_ros.guard import GuardedNode
 from rclpy.action import ActionClient
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState, Temperature
 
 from irec_msgs.action import RunProcedure
-from irec_msgs.msg import ProcedureStatus, RobotState
+from irec_msgs.msg import ProcedureStatus
 from irec_msgs.srv import ActivateModel
 
 from ..cell import Cell, Section
@@ -28,16 +23,14 @@ from ..errors import Cancelled, IrecError
 from ..recertification.judgement import Missing
 from ..recertification.plausible import check_before_force
 from ..recertification.preconditions import Precondition
-from ..recertification.readings import Readings, enough_readings, judged_readings
+from ..recertification.readings import judged_readings
 from ..session import Session
 from .analyses import run_command
+from .look import look
 
-LOOK_SECONDS = 6.0  # of the machine's clock, for readings before anything moves
-LOOK_LONGEST = 30.0  # where the marker does not plainly stand still by then
 ANSWER_WAIT = 10.0  # s of the machine's clock for another node to answer
 ACTIVATE_WAIT = 60.0  # s of the machine's clock for correction_node to take a model
 CANCEL_WAIT = 60.0  # s of the machine's clock for the robot to leave the contact
-MODES = {RobotState.MODE_POSITION: "position", RobotState.MODE_FORCE: "force", RobotState.MODE_FAULT: "fault"}
 Report = Callable[[str, str, int, int, float], None]
 
 
@@ -112,77 +105,13 @@ class RosCell:
         sensor = Section(self._cell.path, "", self._cell.raw).section("force_sensor")
         stations = [str(s["name"]) for s in self._cell.raw["stations"]]
         range_n, noise = sensor.number("range_n", 1.0), self._cell.noise
-        found = judged_readings(self._look(), range_n, stations, self._confirmed, self._before, noise)
+        seen = look(self._node, self._cell.noise, self._stop_if_cancelled)
+        found = judged_readings(seen, range_n, stations, self._confirmed, self._before, noise)
         return (*nodes, *found)
 
     def _answers(self, name: str, wait: Callable[..., bool], advice: str = "start it") -> Precondition:
         there = bool(wait(timeout_sec=ANSWER_WAIT))
         return Precondition(name, there, "answers" if there else f"does not answer; {advice}")
-
-    def _look(self) -> Readings:
-        """Listen for a few seconds, longer where they don't suffice."""
-        force: list[list[float]] = []
-        marker: list[list[float]] = []
-        joints: list[list[float]] = []
-        stations: list[str] = []
-        t_marker: list[float] = []
-        temperature: dict[str, list[float]] = {}
-        state: list[RobotState] = []
-
-        def on_wrench(m: WrenchStamped) -> None:
-            force.append([m.wrench.force.x, m.wrench.force.y, m.wrench.force.z])
-
-        def on_point(m: PointStamped) -> None:
-            marker.append([m.point.x, m.point.y, m.point.z])
-            t_marker.append(m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec)
-            stations.append(m.header.frame_id)
-
-        def on_joints(m: JointState) -> None:
-            if not joints or len(m.position) == len(joints[0]):
-                joints.append(list(m.position))
-
-        sensors = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-        listening: list[tuple[type, str, Callable[[Any], None]]] = [
-            (WrenchStamped, "wrench", on_wrench),
-            (PointStamped, "tracker/point", on_point),
-            (JointState, "joint_states", on_joints),
-            (RobotState, "robot/state", state.append),
-        ]
-        for name, types in self._node.get_topic_names_and_types():
-            if "sensor_msgs/msg/Temperature" in types and "temperature/" in name:
-                listening.append((Temperature, name, _into(temperature, name.rpartition("/")[2])))
-
-        def readings() -> Readings:
-            last = state[-1] if state else None
-            return Readings(
-                np.array(force).reshape(-1, 3), np.array(marker).reshape(-1, 3), np.array(joints), np.array(t_marker), stations,
-                {name: float(np.median(values)) for name, values in temperature.items()},
-                "" if last is None else MODES.get(last.mode, "an unknown"), last is not None and last.in_motion,
-            )  # fmt: skip
-
-        # a node of its own, turned in this thread: subscriptions must not be destroyed while another executor waits on them
-        ear = GuardedNode(
-            f"{self._node.get_name()}_listener",
-            context=self._node.context,
-            namespace=self._node.get_namespace(),
-            start_parameter_services=False,
-        )
-        executor = SingleThreadedExecutor(context=self._node.context)
-        executor.add_node(ear)
-        try:
-            for kind, name, take in listening:
-                ear.create_subscription(kind, name, take, sensors)
-            begun = time.monotonic()
-            for end in (LOOK_SECONDS, 0.5 * (LOOK_SECONDS + LOOK_LONGEST), LOOK_LONGEST):
-                while time.monotonic() - begun < end and self._node.context.ok():
-                    self._stop_if_cancelled()
-                    executor.spin_once(timeout_sec=0.1)
-                if enough_readings(readings(), self._cell.noise):
-                    break
-        finally:
-            executor.shutdown(timeout_sec=1.0)
-            ear.destroy_node()
-        return readings()
 
     # --- measuring --------------------------------------------------------------------------------------------------
 
@@ -285,13 +214,6 @@ class RosCell:
                 if future.done():
                     return future.result()  # type: ignore[no-any-return]
         return None
-
-
-def _into(values: dict[str, list[float]], name: str) -> Callable[[Temperature], None]:
-    def take(message: Temperature) -> None:
-        values.setdefault(name, []).append(message.temperature)
-
-    return take
 
 
 def waited(future: Any, timeout: float) -> Any:
