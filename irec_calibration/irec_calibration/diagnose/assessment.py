@@ -16,9 +16,10 @@ from ..effects.traits import Family as Alike
 from ..identification.noise import InferredNoise
 from ..identification.validation import HeldOut, gain, rms
 from ..model import Term
-from .build import Built, Explanation
+from .build import Built
 from .candidates import Trial
 from .evidence import Block, Ground
+from .explanation import Explanation
 from .family import Family
 from .flexible import Flexible, flexible_gain
 from .held_out import held_out, only_good_poses

@@ -11,7 +11,7 @@ from ..effects import find_effect
 from ..identification.noise import InferredNoise
 from ..lengths import length
 from .assessment import Assessment
-from .build import implausible
+from .explanation import implausible
 from .parts import Parts
 from .result import Candidate, Comparison, Measurement, Verdict
 from .settings import SETTINGS

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import start_terms
-from irec_calibration.diagnose.build import Explanation, explain
 from irec_calibration.diagnose.candidates import options, try_option
 from irec_calibration.diagnose.evidence import Ground
+from irec_calibration.diagnose.explanation import Explanation, explain
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.forms import forms_of
 from irec_calibration.diagnose.held_out import held_out, only_good_poses

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A model with effects added and what is left beside it; how one is made by adding an effect, or by taking one out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import log
+
+from ..effects import Evidence
+from ..model import Term
+from .candidates import Trial, supported
+from .family import Family
+from .forms import NO_FORMS, Forms
+from .priors import FACTORS
+from .remainder import Part, Remainder, grow
+from .shape import refit, reshaped
+from .study import Study, study_of
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A model with effects added, fitted exactly, and what is left beside it.
+
+    Attributes:
+        added: the terms added to the start, in order.
+        named: log evidence of the added terms alone, relative to the start alone.
+        log_evidence: the same together with the remainder.
+    """
+
+    added: tuple[Term, ...]
+    study: Study
+    named: float
+    remainder: Remainder
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        return tuple(t.effect.id for t in self.added)
+
+    @property
+    def log_evidence(self) -> float:
+        return self.named + self.remainder.gained
+
+    @property
+    def chi2(self) -> float:
+        """Squared residual of the linear problem about the model, without the remainder, in standard deviations."""
+        return self.study.bench.posterior(self.study.base).chi2
+
+    def term(self, effect_id: str) -> Term:
+        """The added term of an effect."""
+        return next(t for t in self.added if t.effect.id == effect_id)
+
+
+def explain(start: Explanation, current: Explanation, trial: Trial, family: Family) -> Explanation | None:
+    """A model with a tried effect added, fitted exactly, and its remainder; None where the fit fails."""
+    fitted = refit(current.study, trial)
+    if fitted is None:
+        return None
+    before, after = (s.bench.posterior(s.base) for s in (current.study, fitted))
+    saved = current.study.bench.saved(before.chi2, max(after.chi2, fitted.true_chi2))
+    named = supported(after.log_evidence - before.log_evidence - log(len(FACTORS)), saved) + trial.best.log_prior
+    if not current.added:  # the trial tried more prior widths, but there no spring gives way to an effect
+        named = max(named, supported(trial.log_evidence, saved))
+    added = fitted.terms[len(start.study.terms) :]
+    rest = remainder_of(fitted, family, current.remainder.parts)
+    return Explanation(added, fitted, current.named + named, rest)
+
+
+def reshaped_again(start: Explanation, one: Explanation, family: Family) -> Explanation:
+    """A model of several added effects with their shapes found again beside each other."""
+    study = reshaped(one.study, one.ids) if len(one.added) > 1 else one.study
+    if study is one.study:
+        return one
+    before, after = (s.bench.posterior(s.base) for s in (one.study, study))
+    named = one.named + supported(after.log_evidence - before.log_evidence, one.study.bench.saved(before.chi2, after.chi2))
+    return Explanation(study.terms[len(start.study.terms) :], study, named, remainder_of(study, family, one.remainder.parts))
+
+
+def remainder_of(study: Study, family: Family, known: Sequence[Part], forms: Forms = NO_FORMS) -> Remainder:
+    """The better of a remainder from nothing and of one that starts from known structures.
+
+    Args:
+        forms: structures that are left out.
+    """
+    without = forms.has if forms else None
+    fresh = grow(study.bench, family, study.base, without=without)
+    if not known:
+        return fresh
+    again = grow(study.bench, family, study.base, known, without=without)
+    return max(fresh, again, key=lambda r: r.gained)
+
+
+def without(start: Explanation, one: Explanation, effect_id: str, family: Family) -> Explanation:
+    """A model without one of its added effects, refitted, with a remainder that may take its place."""
+    if len(one.added) == 1:
+        rest = remainder_of(start.study, family, one.remainder.parts)
+        return replace(start, remainder=max(rest, start.remainder, key=lambda r: r.gained))
+    terms = tuple(t for t in one.study.terms if t.effect.id != effect_id)
+    rest_study = study_of(one.study.observation, terms)
+    with_it, bare = (s.bench.posterior(s.base) for s in (one.study, rest_study))
+    lost = with_it.log_evidence - log(len(FACTORS)) - bare.log_evidence
+    added = tuple(t for t in rest_study.terms if t.effect.id in one.ids)
+    rest = remainder_of(rest_study, family, one.remainder.parts)
+    return Explanation(added, rest_study, one.named - min(lost, one.study.bench.saved(bare.chi2, with_it.chi2)), rest)
+
+
+def implausible(one: Explanation, effect_id: str) -> str:
+    """The first value of an effect beyond what is physically likely, with its limit, in words; empty where there is none."""
+    term = one.term(effect_id)
+    for p in term.effect.parameters(one.study.ready):
+        low, high = p.plausible_range
+        value = term.estimates[p.name].value if p.name in term.estimates else low
+        if not low - 1e-12 <= value <= high + 1e-12:
+            limit = low if value < low else high
+            unit = "" if p.unit == "1" else f" {p.unit}"
+            return f"{p.name} = {value:.3g}{unit} is beyond what is physically likely ({limit:.3g}{unit})"
+    return ""
+
+
+def everywhere(one: Explanation, effect_id: str) -> bool:
+    """Whether every robot has an effect: it is preferred to a nonparametric structure that explains no more."""
+    return one.term(effect_id).effect.everywhere
+
+
+def in_one_pose(one: Explanation, effect_id: str) -> bool:
+    """Whether an effect shows in the differences of one pose only."""
+    return one.term(effect_id).effect.evidence is Evidence.ONE_POSE and one.study.ready.kind == "loaded"

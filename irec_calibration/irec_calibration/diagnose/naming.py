@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether an effect may be named: its evidence over any nonparametric structure in its place, and beside all other names.
+
+Asked when an effect comes in, again of all others when one has come, and of the whole at the end.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..identification.validation import gain
+from ..typing import Array
+from .evidence import Ground
+from .explanation import Explanation, everywhere, implausible, in_one_pose, remainder_of, without
+from .family import Family
+from .forms import NO_FORMS, Forms, forms_of
+from .held_out import held_out, only_good_poses
+from .lasting import lasts
+from .settings import Settings
+
+
+def refused(start: Explanation, current: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[str, float]:
+    """Why an effect is not named on top of a model, or an empty string; and its evidence over any nonparametric structure."""
+    odds = odds_of(one, current, one.ids[-1], family, settings)
+    if len(start.study.bench.poses) < settings.fewest_poses:
+        return "there are too few poses to test it on others", odds
+    if odds < needed(one, one.ids[-1], settings):
+        if current.remainder.structures and one.named - current.named > settings.nats_to_name:
+            words = current.remainder.structures[0].structure.words
+            return f"structure that is no effect explains as much: {words}", odds
+        return "its evidence is too small", odds
+    beyond = implausible(one, one.ids[-1])
+    if beyond:
+        return beyond, odds
+    before, after = (only_good_poses(held_out(e.study), one.study, one.remainder) for e in (current, one))
+    mean, se, _ = gain(before, after)
+    helps = np.isfinite(mean) and mean > settings.held_out_sigmas * se
+    if not helps and not in_one_pose(one, one.ids[-1]):
+        return "it does not help on held-out poses", odds
+    if in_one_pose(one, one.ids[-1]):
+        stays = lasts(one.study, one.added[-1])
+        if stays < settings.nats_to_name:
+            told = "do not have it" if stays < -settings.nats_to_name else "do not tell whether they have it too"
+            return f"the readings of later poses {told}, so it may be a knocked reference or reflector", odds
+    return "", odds
+
+
+def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings) -> float:
+    """Evidence of a name: of a model with it, over one without it and any nonparametric structure in its place.
+
+    An effect that every robot has needs evidence of its own; against structures it may be as weak as what is not told apart.
+
+    The general law of an axis' torque is no rival of an effect that is a form of it: it stays out on both sides. So does a drift
+    of another form, unless it explains more than what is not told apart. A curve of few coefficients has a cause's form only
+    nearly: a share of what the nonparametric structures explain counts for them.
+    """
+    forms = forms_of(one.term(effect_id), one.study.ready)
+
+    def beside(forms: Forms) -> tuple[float, float]:
+        """Evidence of structures in its place, and of those that are left beside it."""
+        rest = remainder_of(bare.study, family, one.remainder.parts, forms)
+        if not forms:
+            return max(rest.gained, bare.remainder.gained), one.remainder.gained
+        return rest.gained, remainder_of(one.study, family, one.remainder.parts, forms).gained
+
+    own = one.named - bare.named
+    in_place, left = beside(forms)
+    odds = own + left - in_place
+    may_be_as_weak = settings.nats_to_separate + settings.nats_to_name
+    if everywhere(one, effect_id):
+        # to be there it needs no more than to explain as well as what has no name (nothing that is not told apart from it speaks
+        # against it); to be of a size that shows, evidence of its own
+        return min(odds + may_be_as_weak, own)
+    if forms.drifts:
+        instead, more = beside(NO_FORMS)
+        # another cause whose form is not quite right leaves a drift too, told from this one by nothing: twice the evidence
+        odds = min(odds - settings.nats_to_name, own + more - instead + may_be_as_weak)
+    if in_one_pose(one, effect_id):  # differences don't tell it from a bad pose, the readings of later poses may
+        odds += lasts(one.study, one.term(effect_id))
+    return odds - settings.share_of_form * max(in_place - left, 0.0)
+
+
+def pruned(start: Explanation, one: Explanation, family: Family, settings: Settings) -> Explanation:
+    """A model without the effects that what came last made needless."""
+    while len(one.added) > 1:
+        for effect_id in one.ids[:-1]:
+            bare = without(start, one, effect_id, family)
+            if odds_of(one, bare, effect_id, family, settings) < settings.nats_to_name:
+                one = bare
+                break
+        else:
+            break
+    return one
+
+
+def proven(start: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[Explanation, dict[str, float]]:
+    """A model without names that nonparametric structure could feign, or that are too small beside the others; evidence of each.
+
+    A structure of unknown form can feign an effect that moves the marker alike, and so can a named one whose form is not
+    quite right.
+    """
+    while one.added:
+        left = feigned(one)
+        everything = max(start.study.bench.posterior(start.study.base).chi2 - one.chi2, 1e-9)
+        bare = {i: without(start, one, i, family) for i in one.ids}
+        evidence = {i: odds_of(one, b, i, family, settings) for i, b in bare.items()}
+        share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
+        least = {i: needed(one, i, settings) + (0.0 if everywhere(one, i) else left[i]) for i in one.ids}
+        weak = [i for i in one.ids if evidence[i] < least[i] or share[i] < settings.share_to_name]
+        if not weak:
+            return one, evidence
+        one = bare[min(weak, key=lambda i: evidence[i])]
+    return one, {}
+
+
+def needed(one: Explanation, effect_id: str, settings: Settings) -> float:
+    """Evidence that a name needs where nothing else is left."""
+    if everywhere(one, effect_id):
+        return settings.nats_to_name
+    tails = settings.nats_per_bad_row * len(one.remainder.bad_rows)
+    return tails + (settings.nats_in_one_pose if in_one_pose(one, effect_id) else settings.nats_to_name)
+
+
+def feigned(one: Explanation) -> dict[str, float]:
+    """How much of each name's evidence the structures that remain could feign: their own, as far as they move the marker alike.
+
+    Likeness is the correlation of the two displacements beside everything else in the model.
+    """
+    block, study = one.remainder.block, one.study
+    x = study.bench.posterior(block).x
+    rest = [i for i, owner in enumerate(study.owners) if owner not in one.ids]
+    ground = Ground(study.bench, study.base.take(rest))
+    at = study.base.A.shape[1]
+    moved = []
+    for part in one.remainder.parts:
+        own = slice(at, at + part.structure.columns.stop - part.structure.columns.start)
+        at = own.stop
+        if not part.structure.is_bad_row:
+            moved.append((part, ground.beside(block.A[:, own] @ x[own])))
+    out = {}
+    for effect_id in one.ids:
+        columns = [i for i, owner in enumerate(study.owners) if owner == effect_id]
+        mine = ground.beside(block.A[:, columns] @ x[columns])
+        forms = forms_of(one.term(effect_id), one.study.ready)
+        others = [(p.log_evidence, v) for p, v in moved if not forms.has(p.structure)]
+        out[effect_id] = sum(e * abs(_cosine(mine, v)) for e, v in others)
+    return out
+
+
+def _cosine(a: Array, b: Array) -> float:
+    return float(a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300))

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which effects would do in the place of one that was added, everything refitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from .candidates import Option, try_option
+from .evidence import Ground
+from .explanation import Explanation, explain, implausible, remainder_of, without
+from .family import Family
+from .forms import Forms, forms_of
+from .settings import Settings
+
+Check = Callable[[], None]
+
+
+def rivals_of(
+    start: Explanation, final: Explanation, near: dict[str, list[str]], found: Sequence[Option], family: Family, check: Check,
+    settings: Settings,
+) -> dict[str, tuple[tuple[str, float], ...]]:  # fmt: skip
+    """Which other effects would do in the place of each added one, everything refitted."""
+    out = {}
+    by_id = {o.effect.id: o for o in found}
+    for term in final.added:
+        others = [i for i in near.get(term.effect.id, []) if i not in final.ids]
+        if not others:
+            continue
+        check()
+        bare = without(start, final, term.effect.id, family)
+        rest = bare.study
+        ground = Ground(rest.bench, rest.base)
+        forms = forms_of(term, final.study.ready)
+        whole = _without_forms(final, family, forms)
+        same = []
+        for other in others:
+            one = explain(start, bare, try_option(ground, by_id[other], rest.ready), family)
+            if one is None or implausible(one, other):  # no value that can be is no rival
+                continue
+            own_forms = forms_of(one.term(other), one.study.ready)
+            own = _without_forms(one, family, own_forms) - _without_forms(bare, family, own_forms)
+            if own < settings.nats_to_prefer:  # what has no name explains it there, not this effect
+                continue
+            odds = whole - _without_forms(one, family, forms)
+            if odds < settings.nats_to_separate:
+                same.append((other, odds))
+        if same:
+            out[term.effect.id] = tuple(sorted(same, key=lambda t: t[1]))
+    return out
+
+
+def _without_forms(one: Explanation, family: Family, forms: Forms) -> float:
+    """Log evidence of a model whose remainder holds none of some structures."""
+    if not any(forms.has(p.structure) for p in one.remainder.structures):
+        return one.log_evidence
+    return one.named + remainder_of(one.study, family, one.remainder.parts, forms).gained
