@@ -24,7 +24,8 @@ from .family import Family
 from .flexible import Flexible, flexible_gain
 from .held_out import held_out, only_good_poses
 from .level import Repeats, inferred, repeats_of
-from .parts import Parts, prune
+from .part_sets import Parts
+from .parts import prune
 from .remainder import Part, Remainder
 from .settings import SETTINGS, Settings
 from .study import Study

@@ -17,7 +17,8 @@ from ..typing import Json
 from .assessment import Assessment
 from .candidates import try_effect
 from .held_out import Validated, validated
-from .parts import Parts, parts_json, prune
+from .part_sets import Parts
+from .parts import parts_json, prune
 from .result import Diagnosis, finite
 from .run import Progress, examine
 from .shape import refit

@@ -14,7 +14,8 @@ from ..identification.noise import InferredNoise
 from ..identification.validation import ESTIMATOR
 from ..model import Model, Term
 from ..typing import Array, IntArray, Json
-from .parts import Parts, parts_json
+from .part_sets import Parts
+from .parts import parts_json
 from .proposals import Proposal
 from .settings import SETTINGS
 

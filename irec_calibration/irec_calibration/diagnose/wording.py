@@ -12,7 +12,7 @@ from ..identification.noise import InferredNoise
 from ..lengths import length
 from .assessment import Assessment
 from .explanation import implausible
-from .parts import Parts
+from .part_sets import Parts
 from .result import Candidate, Comparison, Measurement, Verdict
 from .settings import SETTINGS
 from .shown import Shown
