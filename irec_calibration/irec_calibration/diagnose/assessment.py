@@ -100,7 +100,7 @@ def assess(
     known = study.base + _columns(study, built.family, rest.bad_rows)
     bare = repeats_of(study, Ground(study.bench, known)) if rest.structures else repeats
     noise = inferred(study, ground, repeats, settings)
-    flexible = flexible_gain(study.observation, _residual(study, known), settings)
+    flexible = flexible_gain(study.observation, _unexpected(study, known), settings)
     evidence = []
     if bare.p_value < settings.repeats_p:
         evidence.append("repeats")
@@ -163,6 +163,17 @@ def _beside(one: Explanation, forms: bool = False) -> Block:
 def _residual(study: Study, block: Block) -> np.ndarray:
     ground = Ground(study.bench, block)
     return study.observation.whiten.undo(ground.residual.reshape(-1, 3))
+
+
+def _unexpected(study: Study, block: Block) -> np.ndarray:
+    """Residual of each row, m; in an absolute session whose noise wanders, less what the rows before let expect of it.
+
+    There poses that were measured in succession have like noise, and where they are like each other a regression finds it.
+    """
+    whiten = study.observation.whiten
+    if whiten.wander is None or study.ready.kind == "loaded":
+        return _residual(study, block)
+    return np.asarray(Ground(study.bench, block).residual.reshape(-1, 3) * whiten.sigma[:, None])
 
 
 def _columns(study: Study, family: Family, parts: tuple[Part, ...]) -> Block:
