@@ -237,7 +237,7 @@ def _print_result(args: argparse.Namespace, out: Path, rows: list[dict[str, Any]
         wrong = "" if r["right"] else "  NOT as it should be"
         print(f"  {r['what']:14} {r['hidden']:36} {r['found'][:44]:46} {r['in_force']:8}{wrong}")
     print(f"\n  wall time {wall['total']:.0f} s; in {out}: certificate_*.html and .pdf, trend.png, summary.json")
-    print(f"  history: .venv/bin/irec history {args.cell} --folder {out / 'calibrations'}")
+    print(f"  history: .venv/bin/irec history {args.cell}")
     return all(r["right"] for r in rows)
 
 
