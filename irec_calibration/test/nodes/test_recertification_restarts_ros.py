@@ -43,6 +43,11 @@ CELL = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
 PATIENCE = 300.0  # s of the machine's clock
 POSES = 9
 FEW = 6  # that suffice for a new model to be better than one of a robot that hardly gives way, whatever the noise
+# Hz: a machine that has other work to do keeps up with these when two more processes are started
+SELDOM = {
+    "rate.clock": 50.0, "rate.joint_states": 50.0, "rate.tcp_pose": 50.0, "rate.wrench": 125.0, "rate.wrench_raw": 0.0,
+    "rate.tracker": 62.5,
+}  # fmt: skip
 CALLER = """
 import sys, rclpy
 from rclpy.action import ActionClient
@@ -203,7 +208,7 @@ def test_a_recalibration_goes_on_while_correction_and_recorder_are_killed_and_co
         topics = "['joint_states', 'wrench', 'robot/state', 'irec/procedure/status']"
         return node("irec_calibration.nodes.recorder_node", output=tmp_path / name, topics=topics, use_sim_time="true")
 
-    start_process(node("irec_sim.nodes.cell_node", cell=path, speed_factor=6.0, max_lead=0.1), name="cell")
+    start_process(node("irec_sim.nodes.cell_node", cell=path, speed_factor=4.0, max_lead=0.1, **SELDOM), name="cell")
     start_process(
         node("irec_calibration.nodes.procedure_node", cell=path, session_folder=tmp_path, use_sim_time="true"), name="procedure"
     )
