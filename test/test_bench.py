@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The benches that `make bench` runs: each prints its figures for a small case. How fast it was is not judged here."""
+"""Benches that `make bench` and `make endurance` run: each prints its figures for a small case. How fast it was is not judged."""
 
 from __future__ import annotations
 
@@ -25,3 +25,14 @@ def test_a_bench_prints_its_figures(name, arguments, figure):
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200)
     assert run.returncode in (0, 1) and "Traceback" not in run.stderr, run.stderr
     assert figure in run.stdout
+
+
+@pytest.mark.ros
+@pytest.mark.long
+def test_the_endurance_of_the_procedure_measures_poses_and_tells_slopes(tmp_path):
+    bench = [sys.executable, str(ROOT / "tools/endurance/procedure.py"), "--seconds", "90", "--out", str(tmp_path / "out")]
+    run = subprocess.run(bench, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert "Traceback" not in run.stderr, run.stderr
+    first = run.stdout.splitlines()[0]
+    assert int(first.split(" runs, ")[1].split()[0]) >= 1, run.stdout
+    assert "procedure: " in run.stdout and "driver: " in run.stdout and "memory_kB" in run.stdout

@@ -49,6 +49,7 @@ class Cell:
         time: simulated time, s; period: s; mode: POSITION, FORCE or FAULT.
         rail_names: names of external axes; rail_range: m.
         offset: translation of the correction that is applied now, in base_link, (3,), m.
+        arm: the elastic arm on what it presses on.
     """
 
     def __init__(self, cell: CellFile, truth: Truth, seed: int = 0, settings: InstrumentSettings | None = None) -> None:
@@ -78,7 +79,7 @@ class Cell:
         self._pose: tuple[Array, Pose] | None = None
         self._near: tuple[Array, Array, Array] | None = None
         idle = self._make_conditions(np.zeros(3))
-        self._arm = Equilibrium(cell, Plant(cell.chain, physics.plant), self._motor()[None], idle)
+        self.arm = Equilibrium(cell, Plant(cell.chain, physics.plant), self._motor()[None], idle)
         self._read_force()
 
     # -- commands ---------------------------------------------------------------------------------------------------
@@ -111,7 +112,7 @@ class Cell:
             SimError: the robot is in fault.
         """
         self._refuse_in_fault()
-        self._freeze()
+        self.freeze()
         self._setpoint = np.array(force, dtype=float)
         self.mode = FORCE
 
@@ -122,7 +123,7 @@ class Cell:
             SimError: the robot is in fault.
         """
         self._refuse_in_fault()
-        self._freeze()
+        self.freeze()
         self.mode = POSITION
 
     def clear_fault(self) -> None:
@@ -155,7 +156,8 @@ class Cell:
         """Process force at the TCP in place of contact with the tooling, N; None: contact again."""
         self._process = None if force_in_tool is None else np.array(force_in_tool, dtype=float)
 
-    def _freeze(self) -> None:
+    def freeze(self) -> None:
+        """Stand where the joints are now, with no offset."""
         self._q_command = self._q_plain = self._q.copy()
         self._rail_command = self._rail
         self._channel = OffsetChannel(late=self._channel.late)
@@ -173,7 +175,7 @@ class Cell:
         self._rail += rail_step
         moving = self._notice_standing(before)
         carriage = self._rail * self._rail_axis
-        self._arm.step(self._motor()[None], moving, self._process, carriage, self._make_conditions, self.period)
+        self.arm.step(self._motor()[None], moving, self._process, carriage, self._make_conditions, self.period)
         self._switch_off_where_crushed()
         self._read_force()
 
@@ -214,16 +216,16 @@ class Cell:
         return Conditions(force[None], np.array([self._rail]), self._heat.gears(self.time)[None], np.array([on]))
 
     def _switch_off_where_crushed(self) -> None:
-        crushed = math.sqrt(float(self._arm.force @ self._arm.force)) > _COLLISION
+        crushed = math.sqrt(float(self.arm.force @ self.arm.force)) > _COLLISION
         if crushed and not self._freed and self.mode != FAULT:
-            self._freeze()
+            self.freeze()
             self.mode = FAULT
         self._freed = self._freed and crushed  # a cleared robot may move out of the tooling
 
     # -- what is measured -------------------------------------------------------------------------------------------
 
     def _read_force(self) -> None:
-        self._readings.read_force(self.time, self._arm.force, self._arm.frames.R_tool[0])
+        self._readings.read_force(self.time, self.arm.force, self.arm.frames.R_tool[0])
 
     def joints(self) -> tuple[Array, float]:
         """Joint angles reported by the controller, (n,), rad, and rail position, m."""
@@ -249,7 +251,7 @@ class Cell:
 
         With a delay in the settings this is the reading of that time ago.
         """
-        arm = self._arm.frames.R_tool[0] @ (self.cell.marker_in_tool0 + self._sensing.marker_error)
+        arm = self.arm.frames.R_tool[0] @ (self.cell.marker_in_tool0 + self._sensing.marker_error)
         marker = self._drifted() + arm + self._rail * self._rail_axis
         return self._readings.tracker(self.time, marker, self._q, self._rail)
 
@@ -261,7 +263,7 @@ class Cell:
 
     def _drifted(self) -> Array:
         ambient = np.array([self._heat.ambient(self.time)])
-        return self._arm.frames.p_tcp[0] + drift_at(self._sensing, np.array([self.time]), ambient)[0]
+        return self.arm.frames.p_tcp[0] + drift_at(self._sensing, np.array([self.time]), ambient)[0]
 
     def true_tcp(self) -> Array:
         """Physical TCP in base_link, (3,), m. For judging a correction, never for making one."""
@@ -269,9 +271,9 @@ class Cell:
 
     def true_force(self) -> Array:
         """Force on the robot at the TCP in tool0, (3,), N."""
-        return self._arm.frames.R_tool[0].T @ self._arm.force
+        return self.arm.frames.R_tool[0].T @ self.arm.force
 
     def true_deviation(self) -> Array:
         """Physical TCP against where it would be now without process force and correction, (3,), m in base_link."""
         q = motor_angles(self._sensing, self._q_plain, np.zeros(self.chain.n))[None]
-        return self._arm.frames.p_tcp[0] - self._arm.idle(q).p_tcp[0]
+        return self.arm.frames.p_tcp[0] - self.arm.idle(q).p_tcp[0]

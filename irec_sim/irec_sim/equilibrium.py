@@ -27,13 +27,14 @@ class Equilibrium:
     """Where the arm is under what acts on it.
 
     Attributes:
+        surface, disc: what the tool meets, and with what; may be exchanged between two steps, as a fault does.
         force: on the robot at the TCP, (3,), N in base_link.
         frames: the deflected configuration; conditions: under which it was found.
     """
 
     def __init__(self, cell: CellFile, plant: Plant, motor: Array, conditions: Conditions) -> None:
         """Free, at motor angles (1, n), rad."""
-        self._plant, self._surface, self._disc = plant, cell.surface, Disc(friction=cell.friction)
+        self._plant, self.surface, self.disc = plant, cell.surface, Disc(friction=cell.friction)
         self._contact = Contact()
         self._base: tuple[Array, Array, Frames] | None = None
         self._found_at = np.full(motor.shape, np.inf)
@@ -71,7 +72,7 @@ class Equilibrium:
                 trial, _ = plant.respond(frames, motor, conditions, begin, c, dt)
                 p = frames.p_tcp[0] + (trial.e - begin.e)[0] @ frames.lever[0] + carriage
                 answer, after = solve_contact(
-                    self._disc, self._surface.gap, p - compliance @ force, compliance, self._contact, force
+                    self.disc, self.surface.gap, p - compliance @ force, compliance, self._contact, force
                 )
                 change = float(np.abs(answer - force).max())
                 force = answer

@@ -25,7 +25,8 @@ from irec_msgs.action import RunProcedure  # noqa: E402
 
 LIMITS = {"memory_kB": 256.0, "handles": 0.05, "threads": 0.05}  # per hour of the cell
 EVERY = 5.0  # s of the cell's clock between two samples
-RUN = 600.0  # s of the machine's clock for one run
+RUN = 3600.0  # s of the machine's clock for one run
+POSES = HERE.parents[1] / "config" / "cells" / "afp_poses.yaml"
 
 
 def main() -> int:
@@ -63,7 +64,7 @@ def _run(stack: Stack, hours: float, seconds: float) -> tuple[dict[str, list[Sam
     session = stack.folder / "endurance.mcap"
     while time.monotonic() < end and (last - began) < 3600.0 * hours:
         session.unlink(missing_ok=True)
-        goal = RunProcedure.Goal(poses_path="", session_path=str(session))
+        goal = RunProcedure.Goal(poses_path=str(POSES), session_path=str(session))
         stack.mark()
         sent = stack.action.send_goal_async(goal)
         stack.until(sent.done, "the goal is answered", START)
@@ -80,8 +81,10 @@ def _run(stack: Stack, hours: float, seconds: float) -> tuple[dict[str, list[Sam
         poses += sum(e["kind"] == "complete" for e in stack.events)
         if not done.done():
             sent.result().cancel_goal_async()
-            stack.until(done.done, "the cancelled run's end", 60.0)
+            stack.until(done.done, "the cancelled run's end", 120.0)
             break
+        if not done.result().result.success:
+            raise SystemExit(f"run {runs + 1} did not come to its end, see {stack.folder}: {done.result().result.message}")
         runs += 1
         left = 3600.0 * hours - (last - began)
         print(f"run {runs}: {done.result().result.message} ({left / 3600:.2f} h of the cell left)", file=sys.stderr, flush=True)

@@ -14,7 +14,6 @@ import math
 import sys
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -53,10 +52,10 @@ class FaultyCell(CellNode):
         self._steps = 0
         cell_node.ros_time = self._stamp  # type: ignore[assignment]  # by which each step is stamped
         super().__init__()
-        self._sound = self.cell.cell
+        self._sound = self.cell.arm.surface
         waits, self.followers = self.followers, cast(Any, self)  # a fault must not hold the cell's time up
         self._waits = waits
-        self._disc = self.cell._disc
+        self._disc = self.cell.arm.disc
         self._report = self.create_publisher(String, "faults/report", 50)
         self.create_subscription(String, "faults/arm", self._on_arm, 10)
         self.create_subscription(ProcedureStatus, "irec/procedure/status", self._on_status, LATCHED_QOS)
@@ -92,11 +91,11 @@ class FaultyCell(CellNode):
         self._max_force = 0.0
         self._last_pressing = self._last_loose = self._last_moving = 0.0
         if self.fault == "slip":
-            self.cell._disc = Disc(friction=0.02)
+            self.cell.arm.disc = Disc(friction=0.02)
         elif self.fault == "contact missed":
-            self.cell.cell = replace(self._sound, surface=cast(Any, _Moved(self._sound.surface)))
+            self.cell.arm.surface = cast(Any, _Moved(self._sound))
         elif self.fault == "e-stop":
-            self.cell._freeze()
+            self.cell.freeze()
             self.cell.mode = FAULT
         elif self.fault in ("clock forward", "clock back"):
             self._shift = 1000.0 if self.fault == "clock forward" else -20.0
@@ -105,8 +104,8 @@ class FaultyCell(CellNode):
     def _clear(self, speed: float) -> None:
         if self.fault == "e-stop" or self.cell.mode == FAULT:
             self.cell.clear_fault()
-        self.cell._disc = self._disc
-        self.cell.cell = self._sound
+        self.cell.arm.disc = self._disc
+        self.cell.arm.surface = self._sound
         self.fault, self.since, self._shift, self._armed = "", math.inf, 0.0, None
         self._held_back.clear()
         self._last.clear()
