@@ -52,7 +52,7 @@ class FaultyCell(CellNode):
         self._steps = 0
         cell_node.ros_time = self._stamp  # type: ignore[assignment]  # by which each step is stamped
         super().__init__()
-        self._sound = self.cell.arm.surface
+        self._sound = self.cell.cell
         waits, self.followers = self.followers, cast(Any, self)  # a fault must not hold the cell's time up
         self._waits = waits
         self._disc = self.cell.arm.disc
@@ -93,7 +93,7 @@ class FaultyCell(CellNode):
         if self.fault == "slip":
             self.cell.arm.disc = Disc(friction=0.02)
         elif self.fault == "contact missed":
-            self.cell.arm.surface = cast(Any, _Moved(self._sound))
+            self.cell.arm.surface = cast(Any, _Moved(self._sound.surface))
         elif self.fault == "e-stop":
             self.cell.freeze()
             self.cell.mode = FAULT
@@ -105,7 +105,7 @@ class FaultyCell(CellNode):
         if self.fault == "e-stop" or self.cell.mode == FAULT:
             self.cell.clear_fault()
         self.cell.arm.disc = self._disc
-        self.cell.arm.surface = self._sound
+        self.cell.arm.surface = self._sound.surface
         self.fault, self.since, self._shift, self._armed = "", math.inf, 0.0, None
         self._held_back.clear()
         self._last.clear()
