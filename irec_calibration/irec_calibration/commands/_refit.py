@@ -17,7 +17,7 @@ from ..identification.validation import ESTIMATOR, gain
 from ..lengths import length
 from ..model import Model
 from ..model.file import check_belongs, load_model, save_model
-from ..report.judgement import Judged, judged, probability
+from ..report.addition import Addition, addition_of, probability
 from ..report.next_steps import Step, in_lines
 from ..session import Session
 from ._session import configure_plausible, plausible_session
@@ -48,7 +48,7 @@ def run_refit(
     refit: Refit,
     *,
     rivals: Callable[[Study], list[str]] | None = None,
-    steps: Callable[[Judged | None], list[Step]] | None = None,
+    steps: Callable[[Addition | None], list[Step]] | None = None,
 ) -> int:
     """Load model and session, change the model, save it, say what changed and what follows.
 
@@ -61,11 +61,11 @@ def run_refit(
     model, session = load_model(args.model), plausible_session(args)
     check_belongs(model, session.robot, session.serial)
     new, before, after = refit(model, session)
-    said = judge_added(model, new, before, after)
+    said = addition_to(model, new, before, after)
     others = rivals(before) if rivals else []
     path = save_model(new, args.output)
     if args.json:
-        more = {} if said is None else {"support": said.verdict, "sentence": said.sentence, "rivals": others}
+        more = {} if said is None else {"support": said.support, "sentence": said.sentence, "rivals": others}
         print(json.dumps({"model": str(path), **change(before, after), **more}))
         return 0
     print(what_changed(model, new, before, after))
@@ -83,12 +83,12 @@ def run_refit(
     return 0
 
 
-def judge_added(old: Model, new: Model, before: Study, after: Study) -> Judged | None:
+def addition_to(old: Model, new: Model, before: Study, after: Study) -> Addition | None:
     """Whether the data support what was added; None where nothing was."""
     term = next((t for t in new.terms if t.effect.id not in old.effects), None)
     if term is None:
         return None
-    return judged(held_out(before), held_out(after), term, term.effect.parameters(after.ready))
+    return addition_of(held_out(before), held_out(after), term, term.effect.parameters(after.ready))
 
 
 def change(before: Study, after: Study) -> dict[str, float | str | list[str] | None]:

@@ -14,7 +14,7 @@ from ..diagnose.study import Study
 from ..effects import known_effects
 from ..effects.user import effect_from_text
 from ..errors import EffectError, SolveError
-from ..report.judgement import Judged
+from ..report.addition import Addition
 from ..report.next_steps import Step
 from ..workbench.formula import is_formula, undeclared
 from ._progress import Progress
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         say(1.0, "done")
         return near
 
-    def steps(said: Judged | None) -> list[Step]:
+    def steps(said: Addition | None) -> list[Step]:
         session, model = shlex.quote(args.session), shlex.quote(args.output)
         if said is not None and not said.supported:
             return [("See what the data ask for instead:", f"irec diagnose {session} --model {shlex.quote(args.model)}")]

@@ -19,7 +19,7 @@ from ..model import Estimate
 from ..session.data import Session
 from ..typing import Array
 from . import models, samples
-from .judgement import probability
+from .addition import probability
 from .next_steps import after_diagnosis
 from .page import Figure, Page, Section, Table, write_page
 

@@ -37,7 +37,7 @@ from ..identification.validation import HeldOut
 from ..model import Model, Term
 from ..model.file import check_belongs, load_model, save_model
 from ..poses.course import Course, course_of
-from ..report.judgement import judged
+from ..report.addition import addition_of
 from ..session import Session, read_session
 from .checklist import checklist
 from .free_names import free_path
@@ -95,7 +95,7 @@ class Desk:
         effect = new_effect(text, load_model(model))
         tried = attempt(study, effect)
         self._trials[session, model, text] = tried
-        said = judged(tried.before, tried.after, tried.term, effect.parameters(study.ready))
+        said = addition_of(tried.before, tried.after, tried.term, effect.parameters(study.ready))
         return Tried(
             effect.id,
             text,
@@ -120,7 +120,7 @@ class Desk:
         old, new = held_out(before), held_out(after)
         version = self._version(session, after, new, made, folder, f"+ {effect.id}")
         term = next(t for t in made.terms if t.effect.id == effect.id)
-        said = judged(old, new, term, effect.parameters(after.ready))
+        said = addition_of(old, new, term, effect.parameters(after.ready))
         entry = next(e for e in version.effects if e.id == effect.id)
         return Tried(
             effect.id,

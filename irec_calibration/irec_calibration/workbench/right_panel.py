@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from nicegui import ui
 
 from ..lengths import length
-from ..report.judgement import probability
+from ..report.addition import probability
 from . import words
 from .formula_box import FormulaBox
 from .plain import Tried

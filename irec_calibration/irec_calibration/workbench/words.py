@@ -10,7 +10,7 @@ import numpy as np
 
 from ..identification.validation import rms
 from ..lengths import length
-from ..report.judgement import probability
+from ..report.addition import probability
 from ..typing import Array, BoolArray
 from .plain import ParameterEntry, SessionView, Version
 

@@ -16,15 +16,16 @@ CLEAR, WEAK = 1e-3, 0.05  # of the paired test over held-out poses
 
 
 @dataclass(frozen=True)
-class Judged:
-    """An addition judged. `verdict`: supported, undecided or not supported.
+class Addition:
+    """An effect that was added.
 
     Attributes:
+        support: supported, undecided or not supported, by the data.
         p_value: one-sided, paired over held-out poses; NaN where there are too few.
         gone: parameters within two standard errors of zero; at_bound: that ended at a bound; implausible: outside their range.
     """
 
-    verdict: str
+    support: str
     sentence: str
     p_value: float
     before_m: float
@@ -35,11 +36,11 @@ class Judged:
 
     @property
     def supported(self) -> bool:
-        return self.verdict == "supported"
+        return self.support == "supported"
 
 
-def judged(before: HeldOut, after: HeldOut, term: Term, parameters: Sequence[Parameter]) -> Judged:
-    """Judge an addition by the error on held-out poses, and say what else speaks for or against it.
+def addition_of(before: HeldOut, after: HeldOut, term: Term, parameters: Sequence[Parameter]) -> Addition:
+    """What an addition brings, by the error on held-out poses, and what else speaks for or against it.
 
     Args:
         term: the effect that was added, with its values; parameters: of its effect, for bounds and plausible ranges.
@@ -55,22 +56,22 @@ def judged(before: HeldOut, after: HeldOut, term: Term, parameters: Sequence[Par
     old, new = before.rms_m, after.rms_m
     if not (math.isfinite(old) and math.isfinite(new) and math.isfinite(p)) or len(before.loss) < 3:
         few = "There are too few poses to hold some out: nothing speaks for or against it."
-        return Judged("undecided", few, math.nan, old, new,
+        return Addition("undecided", few, math.nan, old, new,
                       gone, at_bound, implausible)  # fmt: skip
     change = f"the error on held-out poses {_went(old, new)} ({probability(p)})"
     if p < CLEAR and new < old:
-        verdict, sentence = "supported", f"The data support it: {change}."
+        support, sentence = "supported", f"The data support it: {change}."
     elif p < WEAK and new < old:
-        verdict, sentence = "undecided", f"The data do not decide: {change}. More poses or repeats would."
+        support, sentence = "undecided", f"The data do not decide: {change}. More poses or repeats would."
     else:
-        verdict, sentence = "not supported", f"The data do not support it: {change}. Throw it away unless you know better."
+        support, sentence = "not supported", f"The data do not support it: {change}. Throw it away unless you know better."
     if gone and len(gone) == len(term.estimates):
         sentence += " Its values can't be told from zero."
     if at_bound:
         sentence += f" At its bound: {', '.join(at_bound)}."
     if implausible:
         sentence += f" Outside what is physically likely: {', '.join(implausible)}."
-    return Judged(verdict, sentence, p, old, new, gone, at_bound, implausible)
+    return Addition(support, sentence, p, old, new, gone, at_bound, implausible)
 
 
 def _at_bound(value: float, p: Parameter) -> bool:

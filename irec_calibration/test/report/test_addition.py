@@ -12,8 +12,8 @@ from irec_calibration.effects import Parameter
 from irec_calibration.effects.formula import FormulaEffect
 from irec_calibration.identification.validation import HeldOut
 from irec_calibration.model import Estimate, Term
+from irec_calibration.report.addition import addition_of, length, probability
 from irec_calibration.report.diagnosis import contradiction
-from irec_calibration.report.judgement import judged, length, probability
 
 PARAMETERS = (Parameter("c", "1", 1.0, lower=0.0, upper=10.0, plausible=(0.0, 3.0)),)
 
@@ -28,27 +28,27 @@ def term(value: float, se: float = 0.1) -> Term:
 
 
 def test_an_addition_that_lowers_the_held_out_error_clearly_is_supported():
-    said = judged(held_out(4e-5, 0), held_out(2e-5, 1), term(1.0), PARAMETERS)
+    said = addition_of(held_out(4e-5, 0), held_out(2e-5, 1), term(1.0), PARAMETERS)
     assert said.supported and "falls from 40.0 um to 20.0 um" in said.sentence
 
 
 def test_an_addition_that_changes_nothing_is_not_supported():
     same = held_out(4e-5, 0)
-    said = judged(same, same, term(1.0), PARAMETERS)
-    assert said.verdict == "not supported" and "do not support" in said.sentence
+    said = addition_of(same, same, term(1.0), PARAMETERS)
+    assert said.support == "not supported" and "do not support" in said.sentence
 
 
 def test_an_addition_that_raises_the_error_is_not_supported():
-    assert judged(held_out(2e-5, 0), held_out(4e-5, 1), term(1.0), PARAMETERS).verdict == "not supported"
+    assert addition_of(held_out(2e-5, 0), held_out(4e-5, 1), term(1.0), PARAMETERS).support == "not supported"
 
 
 def test_too_few_poses_decide_nothing():
-    assert judged(held_out(4e-5, 0, 2), held_out(2e-5, 1, 2), term(1.0), PARAMETERS).verdict == "undecided"
+    assert addition_of(held_out(4e-5, 0, 2), held_out(2e-5, 1, 2), term(1.0), PARAMETERS).support == "undecided"
 
 
 @pytest.mark.parametrize(("value", "words"), [(0.05, "told from zero"), (10.0, "At its bound: c"), (5.0, "physically likely: c")])
 def test_what_is_odd_about_the_values_is_said(value, words):
-    assert words in judged(held_out(4e-5, 0), held_out(2e-5, 1), term(value), PARAMETERS).sentence
+    assert words in addition_of(held_out(4e-5, 0), held_out(2e-5, 1), term(value), PARAMETERS).sentence
 
 
 @pytest.mark.parametrize(
