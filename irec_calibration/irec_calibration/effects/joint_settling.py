@@ -39,7 +39,8 @@ class JointSettling(Effect):
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         columns = self._columns(scene, theta)
-        return columns if scene.kind == "absolute" else np.concatenate([columns, np.zeros((len(scene), 3, 1))], axis=2)
+        by_travel = np.zeros((len(scene), 3, len(theta) - columns.shape[2]))
+        return np.concatenate([columns, by_travel], axis=2)
 
     def _columns(self, scene: Scene, theta: Array) -> Array:
         step = scene.step

@@ -34,8 +34,7 @@ class LinkBending(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale = typical_compliance(scene.robot)
-        virtual = scene.gravity.largest_virtual if scene.kind == "absolute" else np.zeros(2 * scene.n_joints)
-        limit = softest(scene, np.repeat(scale, 2), virtual)
+        limit = softest(scene, np.repeat(scale, 2), scene.gravity.largest_virtual)
         return tuple(
             Parameter(
                 f"c_{k + 1}{v}", "rad/(N m)", scale[k], lower=0.0, plausible=(0.0, limit[2 * k + "ab".index(v)]),

@@ -31,7 +31,7 @@ class StationPose(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         out = []
         for i, s in enumerate(scene.stations):
-            if scene.kind == "absolute" and not scene.instruments.station_known[i]:
+            if not scene.instruments.station_known[i]:
                 out += [Parameter(f"{a}_{s}", "m", 1e-3, group=f"station {s}", flat=True) for a in AXES]
                 out += [Parameter(f"w_{a}_{s}", "rad", 1e-3, group=f"station {s}", flat=True) for a in AXES]
         return tuple(out)
