@@ -33,9 +33,8 @@ class QuickPlan:
     Attributes:
         poses: pose numbers of the calibration session in the order of the visits, MOST_VISITS at the most.
         power: change -> signal to noise ratio after all of them, at its size in `changes`.
-        sizes: change -> multiple of that size at which it must be found: 1, or what visits can show, for an axis all of them,
-            for others the FIRST (more would be spent on what is far below the noise); never so much that it moves the tool by
-            more than MOST of the tolerance.
+        sizes: change -> multiple of that size at which it must be found: 1, or what those visits can show; never so much that
+            it moves the tool by more than MOST of the tolerance.
         moved: change -> largest displacement of the observed point at its size in `changes`, m.
         seen: what is found, each change at the size at which it must be, in plain words. never: what no pose can show.
     """
@@ -66,12 +65,11 @@ def plan(reference: Reference) -> QuickPlan:
         if power.worth(_with(without, best)) > 1.001 * power.worth(times):
             times, order[place] = _with(without, best), best
     moved = {c.name: float(np.linalg.norm(c.displacement, axis=1).max()) for c in reference.changes}
-    first, after = (np.sqrt(power.of(n)) for n in (np.bincount(order[:FIRST], minlength=power.poses), times))
+    after = np.sqrt(power.of(times))
     seen = {c.name: float(a) for c, a in zip(reference.changes, after, strict=True)}
-    shown = {c.name: float(a if c.part else f) for c, f, a in zip(reference.changes, first, after, strict=True)}
     share = {n: m / reference.tolerance for n, m in moved.items()}
     largest = {n: 1.0 if s > MATTERS else MOST / s for n, s in share.items()}
-    sizes = {n: float(np.clip(SEEN_WELL / max(shown[n], 1e-9), 1.0, largest[n])) for n in moved}
+    sizes = {n: float(np.clip(SEEN_WELL / max(seen[n], 1e-9), 1.0, largest[n])) for n in moved}
     return QuickPlan(
         tuple(int(reference.observation.poses[i]) for i in order), seen, sizes, moved,
         tuple(c.text(sizes[c.name]) for c in reference.changes),

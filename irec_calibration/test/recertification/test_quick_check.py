@@ -111,8 +111,7 @@ def test_the_plan_tells_at_which_size_each_change_is_found() -> None:
         assert size >= 1.0
         assert size == 1.0 or chosen.moved[name] <= MATTERS * TOLERANCE, "what matters is found at its size"
         assert size == 1.0 or size * chosen.moved[name] <= MOST * TOLERANCE * (1 + 1e-9)
-        if size > 1.0 and name.startswith("axis"):
-            assert size * chosen.power[name] <= SEEN_WELL * (1 + 1e-9), "no larger than these poses need"
+        assert size == 1.0 or size * chosen.power[name] <= SEEN_WELL * (1 + 1e-9), "no larger than these poses need"
     assert len(chosen.seen) == len(chosen.sizes)
 
 
