@@ -61,6 +61,13 @@ class Wander:
         reference = None if self.sigma_reference is None else self.sigma_reference * factor
         return replace(self, sigma=self.sigma * factor, sigma_reference=reference)
 
+    @property
+    def spared(self) -> Array:
+        """What a row's variance per coordinate is smaller by since it and its reference have like noise, (m,), m^2."""
+        if self.stamp_reference is None or self.sigma_reference is None:
+            return np.zeros(len(self.stamp))
+        return 2.0 * self.share * self.sigma * self.sigma_reference * self._alike(self.stamp - self.stamp_reference)
+
     def excess(self, index: IntArray) -> Array:
         """Covariance of stretches of s rows each, (k, s), less that of noise that doesn't wander, (k, s, s), m^2."""
         own, t = self.sigma[index], self.stamp[index]
@@ -169,7 +176,8 @@ class Whitening:
     @property
     def floor(self) -> float:
         """Root mean square over samples of the norm of the noise of a row, m: sqrt(mean |r|^2) of a perfect model."""
-        return float(np.sqrt(3.0 * np.mean(self.sigma**2 + self.sigma_reference**2)))
+        spared = 0.0 if self.wander is None else self.wander.spared
+        return float(np.sqrt(3.0 * np.mean(self.sigma**2 + self.sigma_reference**2 - spared)))
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,18 @@ def test_correlated_noise_is_whitened_across_groups_that_share_more() -> None:
     np.testing.assert_allclose(whiten.scaled(2.0)(noise), white / 2.0, atol=1e-9)
 
 
+def test_the_size_of_noise_that_wanders_is_what_is_left_in_differences() -> None:
+    stamp, sigma, group = np.array([10.0, 20.0, 30.0]), np.full(3, 2e-5), np.zeros(3, dtype=np.int64)
+    wander = Wander(0.8, 40.0, stamp, group, sigma, np.zeros(3), sigma)
+    whiten = Whitening(sigma, sigma, group, wander=wander)
+    draws = np.stack([course(np.array([0.0, 10.0, 20.0, 30.0]), i) for i in range(20000)], axis=2)
+    rng = np.random.default_rng(0)
+    noise = 2e-5 * (np.sqrt(0.8) * draws + np.sqrt(0.2) * rng.standard_normal(draws.shape))
+    differences = noise[1:] - noise[0]
+    assert np.isclose(whiten.floor, np.sqrt((differences**2).sum(axis=1).mean()), rtol=0.01)
+    assert np.isclose(whiten.scaled(3.0).floor, 3.0 * whiten.floor)
+
+
 def test_noise_of_an_absolute_session_that_wanders_is_found_with_its_time() -> None:
     observation = observe(wandered(3))
     rng = np.random.default_rng(2)
