@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rsi_can_line import PERIOD, RATE_LIMIT, RESOLUTION, Line, calibrated_model, course_deviation, without_correction
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.alone]
 SPEED = 0.25  # m/s: faster than the demo, to keep the test short
 STEP = RATE_LIMIT * PERIOD + 2 * RESOLUTION
 UNDER_FORCE = 2e-4  # m; such an offset can only come from the process force

@@ -27,7 +27,7 @@ from irec_calibration.procedure.standstill import Streams
 from irec_calibration.recording import BagReader
 from rclpy.experimental import EventsExecutor
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.alone]
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("IREC_REAL_DATA", ROOT.parent / "shared" / "data"))
 BAG = DATA / "akig_ur5_tracker_bag" / "rotateBaseBFspeed1Pts10hzLAN_ros2_mcap"

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# The suite: message fields are checked, nothing leaves the machine. What needs no ROS runs on two processes, nodes one after the
-# other; a test of nodes that fails is run once more, alone: what passes then is told as unstable, what fails again is a failure.
+# The suite: message fields are checked, nothing leaves the machine. Three parts: what needs no ROS, and what starts nodes, on two
+# processes, a file at a time; what keeps time at 4 ms alone. A test of nodes that fails is run once more, alone: what passes then
+# is told as unstable, what fails again is a failure.
 # With arguments, which go to pytest, all in one process: tools/test.sh irec_sim/test -k contact
 set -o pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -10,16 +11,22 @@ export ROS_PYTHON_CHECK_FIELDS=1
 run=(python -m pytest -ra --durations=15 --timeout=300)
 [ $# -eq 0 ] || exec "${run[@]}" -p no:cacheprovider "$@"
 code=0
-"${run[@]}" -p no:cacheprovider -m "not ros and not long" -n "${TEST_PROCESSES:-2}" || code=$?
+processes=${TEST_PROCESSES:-2}
+"${run[@]}" -p no:cacheprovider -m "not ros and not long" -n "$processes" || code=$?
 failed=$(mktemp -d)
 trap 'rm -rf "$failed"' EXIT
-nodes=("${run[@]}" -o "cache_dir=$failed" -m "ros and not long")
-"${nodes[@]}" || {
+
+# run tests of nodes: a mark expression, then options of pytest
+nodes() {
+  local part=("${run[@]}" -o "cache_dir=$failed/${1// /_}" -m "ros and not long and $1")
+  "${part[@]}" "${@:2}" && return
   echo "irec: a test of nodes failed, see above; once more, by itself"
-  if "${nodes[@]}" --last-failed --last-failed-no-failures none; then
+  if "${part[@]}" --last-failed --last-failed-no-failures none; then
     echo "irec: UNSTABLE: passed at the second try, see the first above"
   else
     code=1
   fi
 }
+nodes "not alone" -n "$processes" --dist loadfile
+nodes "alone"
 exit $code

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from cell_side import CELL, CellSide, afp_model
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.alone]
 ACTIVE, FAULT = 2, 5
 STEP = 0.02 * 0.004 * 3  # messages may be lost on the way here: three ticks at most between two
 

@@ -23,7 +23,7 @@ from irec_correction.shared import WRENCH_SIZE, SharedValues
 from irec_sim.devices.rsi_controller import RobotState, RsiController
 from ros_side import START, RosSide
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.alone]
 CELL = Path(__file__).parents[2] / "config/cells/afp.yaml"
 STATE = RobotState(Q, np.array([1.5, 0.0, 1.2]), np.zeros(3))
 STEP = 0.02 * PERIOD + 2e-7
