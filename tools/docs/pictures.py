@@ -3,7 +3,7 @@
 
 A simulated cell hides an effect that the 18-DOF model lacks; irec improves the model, and the simulator says what the tool really
 does along the loaded course, at rest in each point: without correction, corrected with the old and with the improved model.
-Pictures of the workbench are taken by its tests in a browser (IREC_SCREENSHOTS=FOLDER pytest ... test_browser.py).
+Pictures of the workbench and of the report need Chromium.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from irec_sim.cellfile import read_cell as simulated_cell
 from irec_sim.plant import Plant
 from irec_sim.session import generate, write_session
 from irec_sim.truth import read_truth
+from workbench_pictures import draw
 
 ROOT = Path(__file__).parents[2]
 CELL = ROOT / "config" / "cells" / "afp.yaml"
@@ -48,6 +49,7 @@ def main() -> int:
         shutil.copy(folder / "report" / "candidates.png", IMAGES / "candidates.png")
         models = {"18-DOF model": folder / "model.yaml", "improved model": folder / "improved" / "model.yaml"}
         _course(cell, truth, session, models)
+        draw(session, CELL)
     return 0
 
 

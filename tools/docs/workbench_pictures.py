@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pictures of workbench and report in README and tutorial, drawn anew in headless Chromium: `make pictures`."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+from irec_calibration.cli import main as irec
+
+ROOT = Path(__file__).parents[2]
+IMAGES = ROOT / "docs" / "images"
+TESTS = ROOT / "irec_calibration" / "test"  # the server of the tests' browser
+LONG = 200_000  # ms: a machine with other work
+WRONG = "axis 4: c * temp_oil * tau"
+
+
+def draw(session: Path, cell: Path) -> None:
+    """Open a session with a hidden effect, try what is named, keep it, type a formula; then the report of the session."""
+    sys.path.insert(0, str(TESTS))
+    from playwright.sync_api import sync_playwright
+    from workbench_server import CHROMIUM, FLAGS, Server
+
+    with tempfile.TemporaryDirectory() as place, sync_playwright() as run:
+        folder = Path(place)
+        server = Server(folder, str(session), "--cell", str(cell))
+        browser = run.chromium.launch(executable_path=f"/usr/bin/{CHROMIUM}", args=FLAGS)
+        try:
+            page = browser.new_page(viewport={"width": 1440, "height": 860})
+            page.set_default_timeout(LONG)
+            page.goto(server.url)
+            page.get_by_test_id("version-1").wait_for()
+            page.wait_for_timeout(2500)
+            page.screenshot(path=IMAGES / "workbench-opened.png")
+            page.get_by_test_id("verdict").wait_for()
+            page.get_by_test_id("try-joint_stiffening").first.click()
+            page.wait_for_function("!document.querySelector('[data-testid=keep]').disabled")
+            page.get_by_test_id("keep").click()
+            page.get_by_test_id("version-2").wait_for()
+            page.wait_for_timeout(2500)
+            page.screenshot(path=IMAGES / "workbench-kept.png")
+            box = page.get_by_label("formula of an effect")
+            box.click()
+            box.press_sequentially(WRONG, delay=20)
+            page.get_by_test_id("formula-message").wait_for()
+            page.wait_for_timeout(1500)
+            at = box.bounding_box() or {"y": 430.0}
+            top = max(0.0, min(at["y"] - 330.0, 860.0 - 480.0))
+            page.screenshot(path=IMAGES / "workbench-formula.png", clip={"x": 1078, "y": top, "width": 360, "height": 480})
+            irec(["report", str(session), "-o", str(folder / "report")])
+            page = browser.new_page(viewport={"width": 1280, "height": 800})
+            page.goto((folder / "report" / "report.html").as_uri())
+            page.wait_for_timeout(1000)
+            page.screenshot(path=IMAGES / "report.png")
+        finally:
+            browser.close()
+            server.kill()
