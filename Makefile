@@ -7,7 +7,7 @@ export PYTHON
 STAMPS := .venv/.stamps
 RUN := . tools/env.sh &&
 PACKAGES := irec_calibration irec_correction irec_sim
-INTERFACES := $(wildcard irec_msgs/msg/*.msg irec_msgs/srv/*.srv irec_msgs/action/*.action) irec_msgs/CMakeLists.txt irec_msgs/package.xml $(wildcard irec_msgs/irec_ros/*.py) $(wildcard tools/tf2_msgs/* tools/tf2_msgs/msg/*)
+INTERFACES := $(wildcard irec_msgs/msg/*.msg irec_msgs/srv/*.srv irec_msgs/action/*.action) irec_msgs/CMakeLists.txt irec_msgs/package.xml $(wildcard irec_msgs/irec_ros/*.py) $(wildcard tools/local_ros/tf2_msgs/* tools/local_ros/tf2_msgs/msg/*)
 SETUPS := $(foreach p,$(PACKAGES),$(wildcard $(p)/setup.py $(p)/setup.cfg $(p)/package.xml $(p)/launch/*.launch.py))
 CONFIG := $(wildcard config/*/) # a folder changes when a file is added; what is in the files is linked
 LAUNCH := $(foreach p,$(PACKAGES),$(wildcard $(p)/launch/*.launch.py))

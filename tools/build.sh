@@ -11,7 +11,7 @@ unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONPATH
 export MAKEFLAGS="-j$(nproc)"
 echo "irec: building the workspace with colcon (about a minute the first time)"
 colcon --log-base log build --symlink-install --event-handlers console_cohesion- \
-  --base-paths irec_msgs irec_calibration irec_correction irec_sim tools/tf2_msgs \
+  --base-paths irec_msgs irec_calibration irec_correction irec_sim tools/local_ros/tf2_msgs \
   --cmake-args -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF >"$venv/build.log" 2>&1 ||
   { tail -n 40 "$venv/build.log" >&2; echo "irec: the build failed, whole output in .venv/build.log" >&2; exit 1; }
 "$venv/bin/uv" pip install -q --python "$venv/bin/python" --no-deps --no-build-isolation -e irec_calibration -e irec_sim

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
-pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs is not built: run `make test`")
+pytest.importorskip("tf2_msgs", reason="tf2_msgs is not built: run `make test`")
 
 import rclpy
 from irec_calibration.cell import read_cell
