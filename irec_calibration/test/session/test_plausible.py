@@ -131,6 +131,15 @@ def test_a_missing_effect_or_bad_rows_are_no_doubt(seed):
     assert doubts(replace(session, p_marker_in_station=p)) == ()
 
 
+def test_a_robot_that_settles_by_more_than_it_gives_way_is_no_doubt():
+    def settling(scene):
+        by_chance = np.random.default_rng(4).normal(0.0, 5e-4, scene.q.shape)
+        return np.einsum("nik,nk->ni", scene.J, by_chance)
+
+    session = synthetic.session(extra=settling)
+    assert doubts(session) == ()
+
+
 @pytest.mark.parametrize("command", ["solve", "diagnose"])
 def test_the_commands_end_with_1_and_the_reason(command, tmp_path, capsys):
     folder = write_table(ALTERED["forces in kN"][0](LOADED), tmp_path / "session")
