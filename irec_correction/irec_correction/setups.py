@@ -10,7 +10,9 @@ from typing import Any
 
 def next_setup(pipe: Connection) -> tuple[Any, int]:
     """The next setup and 0; or None and the exit code of the process: 0 after a signal, 2 where the node has ended or refused."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # while it waits; what is set up takes signals itself
+    for number in (signal.SIGINT, signal.SIGTERM):  # while it waits; what is set up takes signals itself
+        # by name: a process that a script has put into the background was born with SIGINT ignored
+        signal.signal(number, signal.default_int_handler)
     try:
         setup = pipe.recv()
     except KeyboardInterrupt:
