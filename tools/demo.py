@@ -7,6 +7,8 @@ Everything is asked for as a person at a real cell would: actions and services o
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import json
 import os
 import shutil
@@ -93,8 +95,24 @@ def _run(args: argparse.Namespace) -> None:
             made["courses"] = drive(operator, progress, args, out, {"without": None, "with": made["models"]["18 DOF"][0]})
         finally:
             operator.close()
+    report = _report(out, made, progress)
     progress.stage("figures", "drawing figures")
-    _draw_and_print(args, out, made, progress)
+    _draw_and_print(args, out, made, progress, report)
+
+
+def _report(out: Path, made: dict[str, Any], progress: Progress) -> Path:
+    """The page of the session, as `irec report` writes it: verdict and evidence."""
+    from irec_calibration.cli import main as irec
+
+    progress.stage("report", "diagnosing the session, writing its report")
+    words = ["report", str(made["session"]), "--model", str(made["models"]["18 DOF"][0])]
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        code = irec([*words, "-o", str(out / "report")])
+    if code not in (0, 1):
+        raise ValueError(f"no report: {said.getvalue().strip()}")
+    progress.say(next(line for line in said.getvalue().splitlines() if "; wrote " in line))
+    return out / "report" / "report.html"
 
 
 def plan_poses(args: argparse.Namespace, out: Path) -> Path:
@@ -204,7 +222,7 @@ def drive(
     return courses
 
 
-def _draw_and_print(args: argparse.Namespace, out: Path, made: dict[str, Any], progress: Progress) -> None:
+def _draw_and_print(args: argparse.Namespace, out: Path, made: dict[str, Any], progress: Progress, report: Path) -> None:
     from demo_parts.course import figures_mm, read_course, reduction_percent
     from demo_parts.figures import course_figure, residuals_figure
     from demo_parts.table import table
@@ -245,12 +263,13 @@ def _draw_and_print(args: argparse.Namespace, out: Path, made: dict[str, Any], p
             "course_with": str(made["courses"]["with"]),
             "residuals_figure": str(residuals),
             "course_figure": str(drawn),
+            "report": str(report),
         },
     }
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(table(deviation["without"], deviation["with"], reduction))
     print(f"  wall time: {', '.join(f'{name} {seconds:.0f} s' for name, seconds in wall.items())}")
-    print(f"  results in {out}: summary.json, model.yaml, session.mcap, bag/, residuals.png, course.png")
+    print(f"  results in {out}: report/report.html, summary.json, model.yaml, session.mcap, bag/, residuals.png, course.png")
 
 
 if __name__ == "__main__":

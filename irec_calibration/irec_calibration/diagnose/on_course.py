@@ -36,7 +36,8 @@ class OnCourse:
         return (
             f"Predicted lateral deviation on the course, if this model is right: {without} mm without correction,"
             f" {before} mm corrected with the first model; this model itself is known to {1e3 * self.se.mean():.3f} mm"
-            f" there (standard error). The tolerance is {1e3 * self.tolerance:.2f} mm. Each point is pressed on by itself."
+            f" there (standard error). The tolerance is {1e3 * self.tolerance:.2f} mm. Each point is pressed on by"
+            " itself, the tool turned about its axis as in the nearest pose of the session."
         )
 
 

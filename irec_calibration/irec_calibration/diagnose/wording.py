@@ -125,7 +125,7 @@ def _noise(noise: InferredNoise) -> list[str]:
     where = {"repeats": "repeats show", "residual": "the residual shows"}.get(noise.source, "repeats and residual show")
     small = "small" if noise.ratio > 1.0 else "large"
     return [
-        f"The noise stated in session.yaml, {length(noise.claimed_m)}, is {times:.1f} times too {small}:"
+        f"The noise that the session states, {length(noise.claimed_m)}, is {times:.1f} times too {small}:"
         f" {where} {length(noise.inferred_m)} ({length(noise.low_m)} to {length(noise.high_m)}).",
         *wanders,
     ]
