@@ -195,5 +195,5 @@ def read_cell(name: str | Path) -> CellFile:
             sensor_axis=np.array(data.get("force_sensor", {}).get("axis_in_tool0", [0, 0, 1]), dtype=float),
             arm_radius=float(robot.get("arm_radius", 0.2)),
         )  # fmt: skip
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OSError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, OSError) as error:
         raise SimError(f"{path}: {type(error).__name__}: {error}; see config/cells/afp.yaml for what a cell states") from error

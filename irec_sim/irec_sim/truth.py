@@ -222,6 +222,6 @@ def _resolve(data: dict[str, Any], cell_name: str, seed: int, where: str, effort
     truth = Truth(axial, transverse, friction, tuple(hidden), centre)
     try:
         truth.physics()
-    except (IndexError, TypeError, ValueError, KeyError) as error:  # a joint that is not there, a station that is a fraction
+    except (IndexError, TypeError, ValueError, KeyError, OverflowError) as error:  # no such joint, half a station, 10**400
         raise SimError(f"{where}: effects: a parameter has no meaning: {error}") from error
     return truth

@@ -14,6 +14,7 @@ URDF = ROOT / "config" / "robots" / "kr120_r2700_extra_ha.urdf"
 Q_DEG = (5.0, -86.0, 80.0, 11.0, 29.0, -17.0)
 WRENCH = np.array([150.0, -80.0, -900.0, 5.0, 3.0, -1.0])
 PERIOD, FIRST, WARM, PACKETS, AFTER = 0.004, 1_000_000, 160, 24, 8
+NO_DELAY = b'<Delay D="0"/>'
 BASE = 0x40  # of the sensor
 STEP = 8e-5 + 2e-7  # m: limit of the offset's rate in one cycle, and the resolution on the wire
 
@@ -43,6 +44,7 @@ def read_rsi(folder: Path) -> None:
     session, source, block = _conversation()
     refused: ProtocolError | None = None
     now, before = 1000.0, np.zeros(3)
+    unanswered = 0
     try:
         source.start(now)
         good = [packet(FIRST + 4 * i) for i in range(WARM)]
@@ -52,10 +54,12 @@ def read_rsi(folder: Path) -> None:
             if session.wants_tick:
                 session.tick(now)
             now += PERIOD
+            data = data.replace(NO_DELAY, NO_DELAY.replace(b"0", str(unanswered).encode()))  # a controller counts
             stamp = stamp_of(data[:4096])
             if stamp is None:
                 continue
             reply = session.reply(*stamp, now)
+            unanswered += reply is None
             if reply is not None:
                 session.finish(now)
                 sent = session.sequence.sent.translation

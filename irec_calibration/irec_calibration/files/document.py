@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import IrecError, one_line
 from .regular import TEXT_LIMIT, one_line_path, read_text
-from .schema import violations
+from .schema import MOST, violations
 from .yaml_text import Path_, YamlProblem, parse_yaml
 
 
@@ -60,6 +60,8 @@ class Document:
 
     def sound(self, *key: str | int) -> bool:
         """Whether a key is there and nothing in it or around it has been found wrong."""
+        if len(self._broken) >= MOST:  # the schema said no more than that
+            return False
         at = self.data
         for step in key:
             try:

@@ -63,6 +63,14 @@ def read_text(path: str | Path, what: str, error: type[IrecError] = IrecError, l
         ) from None
 
 
+def is_there(path: str | Path) -> bool:
+    """Whether a file or folder of this name exists; a name that no file can have is not there."""
+    try:
+        return Path(path).exists()
+    except (OSError, ValueError):
+        return False
+
+
 def one_line_path(path: str | Path) -> str:
     """A path as it can stand in a message: control characters and line ends in it are escaped."""
     text = str(path)

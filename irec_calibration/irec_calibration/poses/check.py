@@ -11,6 +11,7 @@ from ..cell.cell import open_cell
 from ..cell.rules import PROCEDURE_SECTIONS
 from ..errors import IrecError, PlanError
 from ..files.document import Document
+from ..files.regular import is_there
 from ..robot import Robot
 from .store import PoseList, read_poses
 
@@ -30,7 +31,7 @@ def cell_problems(path: Path) -> tuple[list[str], list[str]]:
             document.wrong((name,), "is missing: planning does without, the procedure does not; irec init-cell writes one")
     if document.sound("poses"):
         file = path.parent / document.data["poses"]
-        if not file.exists():
+        if not is_there(file):
             notes.append(f"poses: {file} is not there yet; irec plan {path} writes it")
         else:
             _check_poses(document, robot, file)

@@ -22,7 +22,7 @@ from ..robot import Robot
 from ..typing import Array, IntArray, Json
 from .data import Session
 from .header import FORMAT as SESSION_FORMAT
-from .header import parse_header
+from .header import described, parse_header
 from .table import Columns, session_from_columns
 
 FORMAT = "irec-align/1"
@@ -83,7 +83,7 @@ def align_bag(path: str | Path, profile: str | Path) -> tuple[Session, Delay]:
     read = _read(bag, mapping, path, _number(mapping.get("marker") or {}, "scale", 1.0, profile))
     header_data = {"format": SESSION_FORMAT, "kind": "absolute", **mapping["session"]}
     urdf = profile.parent / str(mapping["session"]["robot"].get("urdf", ""))
-    robot = Robot.from_urdf(urdf)
+    robot = described(urdf, profile)
     t_q, q = read["joints"]
     t_p, p = read["marker"]
     if q.shape[1] != robot.n_joints:
@@ -95,7 +95,10 @@ def align_bag(path: str | Path, profile: str | Path) -> tuple[Session, Delay]:
     if inside.sum() < 10:
         raise SessionError(f"{path}: only {inside.sum()} tracker points lie within the time of the joint states")
     t_p, p = t_p[inside], p[inside]
-    delay = replace(_delay(robot, t_q, q, t_p, p, read["log"]), bursts_s=bursts)
+    try:
+        delay = replace(_delay(robot, t_q, q, t_p, p, read["log"]), bursts_s=bursts)
+    except np.linalg.LinAlgError as error:
+        raise SessionError(f"{path}: no delay between joint states and tracker points is found ({error}): odd values?") from error
     applied = _number(mapping, "delay", delay.value_s if np.isfinite(delay.value_s) else 0.0, profile)
     rows = _at(t_q, q, t_p + applied)
     columns: dict[str, list[str]] = {
@@ -155,6 +158,8 @@ def _read(bag: BagReader, mapping: Json, path: Path, scale: float) -> dict[str, 
         topic[key] = given or of_type[0]
         if topic[key] not in bag.topics:
             raise SessionError(f"{path}: there is no topic {topic[key]}; there are {', '.join(sorted(bag.topics))}")
+        if (found := bag.topics[topic[key]].type_name) != type_name:
+            raise SessionError(f"{path}: topic {topic[key]} is of type {found}, {type_name} is needed for {key}")
     names = (mapping.get("joints") or {}).get("names")
     stamps: dict[str, list[tuple[float, float, list[float]]]] = {"joints": [], "marker": []}
     for message in bag.messages(set(topic.values())):

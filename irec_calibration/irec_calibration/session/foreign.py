@@ -33,7 +33,7 @@ import yaml
 
 from ..errors import SessionError
 from ..files import read_document
-from ..files.regular import TABLE_LIMIT, read_bytes
+from ..files.regular import TABLE_LIMIT, is_there, read_bytes
 from ..typing import Json
 from .data import Session
 from .header import FORMAT as SESSION_FORMAT
@@ -113,7 +113,7 @@ def import_table(profile_path: str | Path, table: str | Path, folder: str | Path
         header["name"] = name
     robot = dict(_mapping(header.get("robot"), f"{profile.path}: session: robot"))
     urdf = profile.path.parent / str(robot.get("urdf", ""))
-    if not urdf.is_file():
+    if not (is_there(urdf) and urdf.is_file()):
         raise SessionError(f"{profile.path}: session: robot: urdf: {urdf} is not there")
     shutil.copyfile(urdf, folder / "robot.urdf")
     header["robot"] = {**robot, "urdf": "robot.urdf"}

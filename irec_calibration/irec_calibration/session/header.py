@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import SessionError
+from ..errors import RobotError, SessionError
 from ..files.document import Document, check_data, check_text, read_document
 from ..files.schema import schema_of
-from ..robot import Payload
+from ..robot import Payload, Robot
 from ..typing import Json
 from .data import ExternalAxis, Marker, Noise, Station
 
@@ -65,6 +65,15 @@ def parse_header_text(text: str, where: str, folder: Path) -> Header:
     document = check_text(text, where, FORMAT, WHAT, SessionError, rules=RULES)
     document.finish(SessionError)
     return _header(document, folder)
+
+
+def described(urdf: Path, by: Path) -> Robot:
+    """The robot that a file names as its `robot.urdf`. Raises RobotError: it can't be used; names both files."""
+    try:
+        return Robot.from_urdf(urdf)
+    except RobotError as error:
+        text = str(error)
+        raise RobotError(text if str(by) in text else f"{by}: robot.urdf: {text}") from error
 
 
 def _header(document: Document, folder: Path) -> Header:

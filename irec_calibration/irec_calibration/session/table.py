@@ -17,7 +17,7 @@ from ..files.regular import TABLE_LIMIT, read_text
 from ..robot import Robot
 from ..typing import Array, IntArray
 from .data import Session
-from .header import Header, read_header
+from .header import Header, described, read_header
 
 XYZ = ("x", "y", "z")
 LIMIT_MARGIN_RAD = 0.01
@@ -109,7 +109,7 @@ def read_table(folder: str | Path) -> Session:
     """
     folder = Path(folder)
     header = read_header(folder / "session.yaml")
-    robot = Robot.from_urdf(header.urdf_path)
+    robot = described(header.urdf_path, folder / "session.yaml")
     return session_from_columns(header, robot, Columns(folder / "samples.csv"), folder)
 
 

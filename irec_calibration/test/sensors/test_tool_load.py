@@ -37,7 +37,7 @@ def test_reading_is_bias_and_weight_in_the_sensor_and_its_moment():
 @given(mass=st.floats(1.0, 300.0), com=st.tuples(*(st.floats(-0.4, 0.4) for _ in range(3))), seed=st.integers(0, 1000))
 def test_noise_free_readings_give_back_the_load(mass, com, seed):
     load = ToolLoad(mass, com, (5.0, -3.0, 2.0), (0.3, 0.1, -0.2))
-    R = orientations(10, seed)
+    R = orientations(30, seed)  # ten at random are too much alike once in a thousand times
     fit = identify_tool_load(readings(load, R), R)
     assert fit.load.mass == pytest.approx(mass, rel=1e-6)
     np.testing.assert_allclose(fit.load.com, com, atol=1e-6)
