@@ -19,6 +19,7 @@ from irec_calibration.poses.blocks import observation_blocks
 from irec_calibration.poses.plan import make_plan
 from irec_calibration.poses.pool import generate_pool
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent
 

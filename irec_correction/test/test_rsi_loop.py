@@ -135,6 +135,7 @@ def test_faults_of_the_link_make_no_step_and_do_not_stop_the_robot(active, packe
     assert active.largest_step <= STEP
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["lose_sent", "lose_answers", "late_answers"])
 def test_faults_while_the_offset_changes_fast_make_no_step(active, fault):
     before = len(active.sent)

@@ -90,6 +90,7 @@ def ladder() -> Ladder:
     return improve(session(axis_3_stiffens))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "effect", "axes"),
     [

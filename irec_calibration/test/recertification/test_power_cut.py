@@ -58,6 +58,7 @@ def commissioned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_power_cut_at_any_write_leaves_a_calibration_in_force_and_the_run_goes_on(
     commissioned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -73,6 +73,7 @@ def softer(axis: int, factor: float) -> np.ndarray:
     return synthetic.COMPLIANCE * np.where(np.arange(6) == axis - 1, factor, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [0.5, 1.0, 2.0])
 def test_an_unchanged_robot_raises_no_alarm_whatever_the_stated_noise(stated: float) -> None:
     ref, q = reference(stated)
