@@ -175,6 +175,7 @@ def test_two_hundred_lost_packets_reach_the_timeout_of_the_robot(active):
     assert active.largest_step <= STEP
 
 
+@pytest.mark.slow
 def test_a_dead_sensor_is_held_then_faded_while_every_packet_is_answered(active):
     active.sensor_works = False
     active.until(State.FAULT)

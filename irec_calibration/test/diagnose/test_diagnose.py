@@ -249,6 +249,7 @@ def test_improve_adds_what_is_missing_and_stops() -> None:
     assert [h["change"] for h in ladder.model.history] == ["start", "added joint_backlash"]
 
 
+@pytest.mark.slow
 def test_the_place_of_bending_that_a_missing_effect_hid_is_found_beside_it() -> None:
     place = find_effect("bending_place")
 

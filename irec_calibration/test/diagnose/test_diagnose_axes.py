@@ -117,6 +117,7 @@ def test_each_named_axis_has_its_evidence_value_and_error() -> None:
         assert value["value"] < -3.0 * value["se"]
 
 
+@pytest.mark.slow
 def test_axes_that_these_poses_do_not_tell_apart_are_not_named_but_said_to_be_so() -> None:
     found = diagnosis(axis_3_stiffens_a_little, 5)
     said = found.verdict.parts["joint_stiffening"]
@@ -141,6 +142,7 @@ def test_the_result_file_tells_what_is_proven_from_what_is_not() -> None:
     assert (unsure["proven"], sorted(unsure["one_of"])) == ([], [["axis 2"], ["axis 3"]])
 
 
+@pytest.mark.slow
 def test_the_improved_model_has_parameters_of_the_proven_axis_only(tmp_path) -> None:
     model = load_model(save_model(ladder().model, tmp_path / "m.yaml"))
     assert model.effects[-1] == "joint_stiffening"
@@ -168,6 +170,7 @@ def test_settling_what_is_settled_changes_nothing() -> None:
     assert again.parts["joint_stiffening"].proven == ("axis 3",)
 
 
+@pytest.mark.slow
 def test_an_axis_with_a_hundredth_of_the_effect_is_in_the_model_but_not_named() -> None:
     # as much could come from an effect whose form is not quite right
     lagging = session(axis_1_lags_and_axis_5_a_little)
@@ -183,6 +186,7 @@ def test_an_effect_without_axes_has_no_parts() -> None:
     assert prune(prepare(session(axis_3_stiffens), terms), ["marker_offset"]).parts == {}
 
 
+@pytest.mark.slow
 def test_an_effect_that_another_one_makes_needless_is_not_named_beside_it() -> None:
     # play fits a gear that is soft near zero torque before the gear's own effect is tried at the right softness
     assert diagnosis(axis_1_is_soft_near_zero, 5).verdict.effects == ("joint_stiffening",)
