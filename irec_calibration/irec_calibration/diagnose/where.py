@@ -137,8 +137,9 @@ def _sides(observation: Observation, predicted: Array) -> list[_Side]:
         out.append(_Side(f"sign tau_{k + 1}", words, side, signs, "a {} total torque"))
         step = f"{about} in proportion to its motion since the sample before"
         out.append(_Side(f"step_{k + 1}", step, axis * scene.step[rows, k, None, None], all_rows))
-        angle = "{} m" if scene.kin.is_prismatic[k] else "{} rad"
-        smooth(f"joint_{k + 1}", f"depends on joint {k + 1}", scene.q[rows, k], f"joint_{k + 1} at {angle}")
+        slides = bool(scene.kin.is_prismatic[k])
+        at_joint = scene.q[rows, k] if slides else np.rad2deg(scene.q[rows, k])
+        smooth(f"joint_{k + 1}", f"depends on joint {k + 1}", at_joint, f"joint_{k + 1} at {{}} {'m' if slides else 'deg'}")
     smooth("reach", "depends on the reach", np.linalg.norm(scene.p_tcp[rows], axis=1), "a reach of {} m")
     for a, letter in enumerate("xyz"):
         smooth(f"tcp_{letter}", f"depends on the place of the pose (base {letter})", scene.p_tcp[rows, a], f"{letter} at {{}} m")

@@ -72,8 +72,7 @@ def described(urdf: Path, by: Path) -> Robot:
     try:
         return Robot.from_urdf(urdf)
     except RobotError as error:
-        text = str(error)
-        raise RobotError(text if str(by) in text else f"{by}: robot.urdf: {text}") from error
+        raise RobotError(f"{by}: robot.urdf: {error}") from error
 
 
 def _header(document: Document, folder: Path) -> Header:
