@@ -176,10 +176,10 @@ class BenchPage:
         n = len(self.room.versions.all)
         self.say(f"Kept as version {n}. The diagnosis of it runs.")
         self.refresh()
-        self._focus(f"version-{n}")
+        self.focus(f"version-{n}")
         self.diagnose()
 
-    def _focus(self, name: str) -> None:
+    def focus(self, name: str) -> None:
         """Give the focus to a control where the one that had it is gone."""
         ui.run_javascript(f"setTimeout(() => window.irecFocus('{name}'), 50)")
 
@@ -193,7 +193,7 @@ class BenchPage:
         self.room.discard()
         self.say("Thrown away.")
         self.refresh()
-        self._focus("formula")
+        self.focus("formula")
 
     def undo(self) -> None:
         """Use the version before the last step."""

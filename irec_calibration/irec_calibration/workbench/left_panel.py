@@ -26,31 +26,55 @@ class LeftPanel:
 
     def build(self) -> None:
         """Lay it out once."""
-        self._content()
+        # built once: a button that is drawn anew while its key is being pressed does not hear it
+        with ui.element("div").classes("rowline"):
+            self.title = ui.html("", sanitize=False)
+            ui.element("div").classes("grow")
+            self.undo = ui.button("Undo", on_click=self._undo).props("dense flat no-caps").props('data-testid="undo"')
+            self.redo = ui.button("Redo", on_click=self._redo).props("dense flat no-caps").props('data-testid="redo"')
+        self.errors = ui.label("The model is being fitted …").classes("words")
+        self._set_steps()
+        self._effects()
+        self._versions()
 
     def refresh(self) -> None:
-        """Draw it anew from the room where it shows something else."""
-        v = self.page.room.versions
-        if self.page.redrawn.due("left", *v.all, v.index, v.can_undo, v.can_redo):
-            self._content.refresh()
+        """Draw anew from the room what shows something else."""
+        due, v = self.page.redrawn.due, self.page.room.versions
+        if not v.all:
+            return
+        now = v.current
+        self.title.set_content(f"<h2>Model, version {v.index + 1}</h2>")
+        self.errors.set_text(
+            f"held-out error {length(now.cv_rms_m)} ± {length(now.cv_rms_se_m)}, fit {length(now.fit_rms_m)}, "
+            f"noise {length(now.noise_m)}"
+        )
+        self._set_steps()
+        if due("effects", now.effects, now.combinations, *(other.effects for other in v.all)):
+            self._effects.refresh()
+        if due("versions", v.index, *(text for other in v.all for text in (other.name, other.cv_rms_m))):
+            self._versions.refresh()
+
+    def _set_steps(self) -> None:
+        versions = self.page.room.versions
+        self.undo.set_enabled(versions.can_undo)
+        self.redo.set_enabled(versions.can_redo)
+
+    def _undo(self) -> None:
+        self.page.undo()
+        if not self.page.room.versions.can_undo:
+            self.page.focus("redo")
+
+    def _redo(self) -> None:
+        self.page.redo()
+        if not self.page.room.versions.can_redo:
+            self.page.focus("undo")
 
     @ui.refreshable_method
-    def _content(self) -> None:
+    def _effects(self) -> None:
         room = self.page.room
         if not room.versions.all:
-            ui.label("The model is being fitted …").classes("words")
             return
-        with ui.element("div").classes("rowline"):
-            ui.html(f"<h2>Model, version {room.versions.index + 1}</h2>", sanitize=False)
-            ui.element("div").classes("grow")
-            undo = ui.button("Undo", on_click=self.page.undo).props("dense flat no-caps").props('data-testid="undo"')
-            redo = ui.button("Redo", on_click=self.page.redo).props("dense flat no-caps").props('data-testid="redo"')
-            undo.set_enabled(room.versions.can_undo)
-            redo.set_enabled(room.versions.can_redo)
         v = room.current
-        ui.label(
-            f"held-out error {length(v.cv_rms_m)} ± {length(v.cv_rms_se_m)}, fit {length(v.fit_rms_m)}, noise {length(v.noise_m)}"
-        ).classes("words")
         for effect in v.effects:
             self._effect(effect, on=True)
         present = {e.id for e in v.effects}
@@ -67,6 +91,12 @@ class LeftPanel:
             ):
                 for text in v.combinations:
                     ui.label(text).classes("quiet")
+
+    @ui.refreshable_method
+    def _versions(self) -> None:
+        room = self.page.room
+        if not room.versions.all:
+            return
         ui.html("<h2>Versions</h2>", sanitize=False)
         for i, version in enumerate(room.versions.all):
             text = f"{i + 1}. {version.name}: {length(version.cv_rms_m)}"

@@ -134,11 +134,21 @@ def test_a_person_works_with_the_keyboard_alone(person):
     person.part("undo").focus()
     person.page.keyboard.press("Enter")
     person.uses_version(1)
-    person.part("redo").focus()
+    person.has_focus("redo")  # undo can go no further
     person.page.keyboard.press("Enter")
     person.uses_version(2)
     person.page.keyboard.press("Control+z")
     person.uses_version(1)
+
+
+def test_undo_and_redo_are_the_same_buttons_all_the_time(person):
+    # a key or a click that meets a button while it is replaced is not heard
+    person.page.evaluate("for (const n of ['undo', 'redo']) document.querySelector(`[data-testid=${n}]`).dataset.seen = 'before'")
+    person.part("switch-link_bending").click()
+    person.sees("version-2", "- link_bending")
+    person.part("undo").click()
+    person.uses_version(1)
+    assert [person.part(n).get_attribute("data-seen") for n in ("undo", "redo")] == ["before", "before"]
 
 
 def test_a_control_keeps_the_focus_while_the_page_is_drawn_anew(person):
