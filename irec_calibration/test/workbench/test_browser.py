@@ -271,8 +271,7 @@ def test_after_the_server_was_killed_the_work_is_taken_up_again(browser, server,
         person.keeps_picture("9-killed")
     finally:
         server.start()
-    person.page.goto(f"{server.url}/open")
-    person.part("resume").first.click(timeout=LONG)
+    person.part("resume").first.click(timeout=LONG)  # the tab comes back by itself
     person.sees("version-2", "formula_axis_1")
     person.page.close()
 
