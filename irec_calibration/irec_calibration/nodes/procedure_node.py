@@ -231,7 +231,7 @@ class ProcedureNode(Guarded, LifecycleNode):
 
     def _may_begin(self, run: ProcedureRun) -> bool:
         """Begin once driver and readings are there; False while it waits for them."""
-        procedure, now = run.procedure, self._starting.look()
+        procedure, now = run.procedure, self._starting.look(self._now)
         if now.waits:
             procedure.message = now.waits
         if now.stop:
@@ -241,6 +241,8 @@ class ProcedureNode(Guarded, LifecycleNode):
         return procedure.started or bool(procedure.stopped_because)
 
     def _on_robot_state(self, state: RobotState) -> None:
+        if self._run is not None and not self._starting.believes(self._now, state):
+            return
         self._starting.robot_said(state)
         if self._run is not None:
             self._run.procedure.watch.robot_said(int(state.mode), bool(state.retreating), state.message)

@@ -62,7 +62,6 @@ class ProcedureRun:
         where = f"going on after {len(done)} complete poses" if done else "from the beginning"
         self.begun = f"{len(targets)} poses from {poses_path}, {where}; recording to {self.recorder.path}"
         self.started_at = 0.0  # cell's clock
-        instruments.inputs.clear()
         instruments.find_temperatures()
         instruments.record_to(self.recorder)
         link.attach(self.procedure)

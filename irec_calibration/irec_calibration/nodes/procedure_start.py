@@ -12,6 +12,7 @@ from ..procedure.inputs import Inputs
 from .correction_watch import CorrectionWatch
 from .robot_link import RobotLink
 
+LATE = 0.3  # s of the machine's clock in which a message that was sent before the run was asked for may still come
 DISCOVERY = 0.5  # s of the machine's clock for another procedure on this graph to be seen
 ROBOT_WAIT = 15.0  # s of the machine's clock that the robot's driver may take to appear
 RIVAL_WAIT = 25.0  # s that another procedure may take to disappear; DDS takes 20 s to forget one that was killed
@@ -35,12 +36,22 @@ class StartCheck:
         self._robot: RobotState | None = None
         self._robot_told = False
         self._asked = 0.0
+        self._listens = False
         self._before: dict[str, int] = {}
 
     def run_asked_for(self) -> None:
-        """Only what comes from now on counts: what came before may be of a driver that has ended since."""
-        self._asked, self._robot_told = time.monotonic(), False
+        """Nothing counts for LATE, what was stamped before that not at all: it may be of a driver that has ended since."""
+        self._asked, self._listens = time.monotonic(), False
+
+    def _listen(self, now: float) -> None:
+        self._listens, self._robot, self._robot_told = True, None, False
+        self._inputs.begin_run(now)
         self._before = dict(self._inputs.streams.counts)
+
+    def believes(self, now: float, state: RobotState) -> bool:
+        """Whether robot/state is of the run that was asked for. now: the cell's clock, s."""
+        stamp = state.header.stamp
+        return self._listens and not self._inputs.of_before(now, stamp.sec + 1e-9 * stamp.nanosec)
 
     def robot_said(self, state: RobotState) -> None:
         """robot/state has come."""
@@ -51,9 +62,13 @@ class StartCheck:
         """Why nothing may be measured now as a correction is at work; empty where none is."""
         return self._correction.problem(self._robot)
 
-    def look(self) -> Start:
-        """Give up after ROBOT_WAIT, or RIVAL_WAIT where somebody else drives this robot."""
+    def look(self, now: float) -> Start:
+        """Give up after ROBOT_WAIT, or RIVAL_WAIT where somebody else drives this robot. now: the cell's clock, s."""
         waited = time.monotonic() - self._asked
+        if waited < LATE:
+            return Start(waits="waits for readings of now")
+        if not self._listens:
+            self._listen(now)
         missing = [self._link.missing] if self._link.missing else []
         if not self._robot_told:
             missing.append("topic robot/state")

@@ -2,7 +2,8 @@
 """The checked boundary: every reading passes here before anything is decided or recorded from it.
 
 Frame, stamp, finiteness, length, names, range. The first fault of a source stays, with its value, until the next run begins;
-a reading that is refused goes nowhere. Freshness is watched by the state machine.
+a reading that is refused goes nowhere. A reading from before the run, which comes late, is left out: it may be of a driver that
+has ended since. Freshness is watched by the state machine.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ class Inputs:
         self.streams, self._axes, self._stations = streams, axes, tuple(stations)
         self.faults: dict[str, str] = {}
         self.dropped: dict[str, str] = {}  # what is refused without ending a run: the newest reason of each source
+        self._begun = -math.inf  # cell's clock at which the run under way began
         self._last: dict[str, float] = {}
         self._same: dict[str, int] = {}
         self._repeated: dict[str, tuple[float, int, tuple[float, ...]]] = {}  # since when, how often, which values
@@ -50,9 +52,22 @@ class Inputs:
         """The first fault of any source since `clear`, in a sentence; empty where there is none."""
         return next(iter(self.faults.values()), "")
 
-    def clear(self) -> None:
-        """A new run begins."""
+    def begin_run(self, now: float) -> None:
+        """A new run begins; nothing from before is kept or believed any more. now: the cell's clock, s."""
+        self._begun = now
         self.faults.clear()
+        self.dropped.clear()
+        self.streams.clear()
+        self._last.clear()
+        self._same.clear()
+        self._repeated.clear()
+        self._q = None
+
+    def of_before(self, now: float, stamp: float) -> bool:
+        """Whether what is stamped so was said before the run began; a stamp that can't be of now is judged as a fault instead."""
+        if now < self._begun:  # the clock was set back, with another simulated cell for example
+            self._begun = -math.inf
+        return stamp < self._begun and now - stamp <= LARGEST_LAG
 
     def _fault(self, source: str, text: str) -> bool:
         self.faults.setdefault(source, f"{source}: {text}")
@@ -106,6 +121,8 @@ class Inputs:
 
     def wrench(self, now: float, stamp: float, frame: str, force: Sequence[float], torque: Sequence[float]) -> bool:
         """Force (3), N, and torque (3), N m, of the environment on the robot at the TCP in tool0. Whether it was taken."""
+        if self.of_before(now, stamp):
+            return False
         if not (
             self._frame("wrench", frame, "tool0")
             and self._numbers("wrench", "the force", force, LARGEST_FORCE, "N")
@@ -120,6 +137,8 @@ class Inputs:
     def joints(self, now: float, stamp: float, names: Sequence[str], position: Sequence[float]) -> bool:
         """Joints and external axes by the driver's names, rad and m, in any order. Whether they were taken."""
         source = "joint_states"
+        if self.of_before(now, stamp):
+            return False
         if len(names) != len(position):
             return self._fault(source, f"{len(names)} names with {len(position)} positions")
         if tuple(names) != self._names:
@@ -170,6 +189,8 @@ class Inputs:
     def tcp(self, now: float, stamp: float, frame: str, p: Sequence[float], quat_xyzw: Sequence[float]) -> bool:
         """tool0 in base_link, m and unit quaternion. Whether it was taken."""
         source = "tcp_pose"
+        if self.of_before(now, stamp):
+            return False
         if not (
             self._frame(source, frame, "base_link")
             and self._numbers(source, "the orientation", quat_xyzw, 1.01, "(unit quaternion)")
@@ -189,6 +210,8 @@ class Inputs:
     def marker(self, now: float, stamp: float, frame: str, p: Sequence[float]) -> bool:
         """Marker in the frame of the station that measured, m. Whether it was taken."""
         source = "tracker/point"
+        if self.of_before(now, stamp):
+            return False
         if frame not in self._stations:
             known = ", ".join(f"'{name}'" for name in self._stations)
             return self._fault(source, f"header.frame_id is '{frame}'; the stations of the cell file are {known}")

@@ -63,6 +63,12 @@ class Streams:
         self._joints: deque[tuple[float, ...]] = deque()
         self._tcp: deque[tuple[float, ...]] = deque()
 
+    def clear(self) -> None:
+        """Forget every reading; the counts go on."""
+        for stream in (self._force, self._marker, self._joints, self._tcp):
+            stream.clear()
+        self.temperature.clear()
+
     def _add(self, stream: deque, item: tuple) -> None:  # type: ignore[type-arg]
         if stream and item[0] < stream[-1][0] - self.horizon_s:
             stream.clear()  # the clock was set back: what is there belongs to another run

@@ -77,8 +77,50 @@ def test_a_fault_stays_until_the_next_run() -> None:
     i.wrench(NOW, NOW, "tool0", (0, math.nan, 0), NO)
     feed(i)
     assert "nan" in i.problem
-    i.clear()
+    i.begin_run(NOW)
     assert not i.problem
+
+
+def test_a_late_reading_of_before_the_run_neither_judges_nor_feeds_it() -> None:
+    i = inputs()
+    feed(i)
+    i.temperature("base", 21.0)
+    begun = NOW + 1.0
+    i.begin_run(begun)
+    assert not i.streams.newest() and not i.streams.temperature, "what was read before is kept"
+    late, now = begun - 0.01, begun + 0.2
+    assert not i.wrench(now, late, "base_link", NO, NO)
+    assert not i.tcp(now, late, "world", (1.9, 0.0, 1.1), UP)
+    assert not i.marker(now, late, "leica", (3.0, 0.0, 0.1))
+    assert not i.joints(now, late, ("a1",), (0.0,))
+    assert not i.wrench(now, late, "tool0", NO, NO), "a good one of before feeds the run"
+    assert not i.problem and not i.streams.newest()
+    assert not i.wrench(now, begun, "base_link", NO, NO)
+    assert "header.frame_id is 'base_link'" in i.problem, "of the run itself it is a fault"
+
+
+def test_a_clock_far_behind_is_a_fault_of_the_run_and_not_a_late_reading() -> None:
+    i = inputs()
+    i.begin_run(NOW)
+    i.wrench(NOW + 1.0, NOW - 2.0, "tool0", NO, NO)
+    assert "wrench: the stamp is 3.0 s behind the clock" in i.problem
+
+
+def test_another_driver_is_not_held_against_what_the_one_before_said() -> None:
+    i = inputs()
+    feed(i)
+    i.marker(NOW, NOW + 1.5, "A", (3.0, 0.0, 0.2))  # its clock was ahead
+    i.begin_run(NOW + 0.1)
+    later = NOW + 0.2
+    assert i.joints(later, later, AXES.driver, (*Q[:-1], Q[-1] + 0.3)), "the robot was moved meanwhile"
+    assert i.marker(later, later, "A", (3.0, 0.0, 0.1))
+    assert not i.problem
+
+
+def test_a_simulated_clock_that_begins_anew_ends_no_readings() -> None:
+    i = inputs()
+    i.begin_run(NOW)
+    assert i.wrench(1.0, 1.0, "tool0", NO, NO)
 
 
 def test_each_source_keeps_its_first_fault() -> None:

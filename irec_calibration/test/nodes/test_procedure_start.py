@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was said before a run was asked for, and comes late, does not judge it: it may be of a driver that has ended since."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
+pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`")
+
+from irec_calibration.cell import read_cell
+from irec_calibration.nodes import procedure_start
+from irec_calibration.procedure.axes import read_axes
+from irec_calibration.procedure.inputs import Inputs
+from irec_calibration.procedure.standstill import Streams
+from std_msgs.msg import Header
+
+from irec_msgs.msg import RobotState
+
+pytestmark = pytest.mark.ros
+CELL = read_cell(Path(__file__).parents[3] / "config" / "cells" / "afp.yaml")
+AXES = read_axes(CELL)
+Q = (*CELL.home.tolist(), 0.1)
+NO = (0.0, 0.0, 0.0)
+NOW = 100.0  # cell's clock
+
+
+class Asked:
+    """A run that was asked for; the machine's clock is that of the test, the cell's runs with it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.machine = 0.0
+        monkeypatch.setattr(procedure_start.time, "monotonic", lambda: self.machine)
+        self.inputs = Inputs(Streams(5.0), AXES, ["A"])
+        link: Any = SimpleNamespace(missing="", rivals="")
+        correction: Any = SimpleNamespace(problem=lambda _: "")
+        self.check = procedure_start.StartCheck(link, self.inputs, correction)
+        self.check.run_asked_for()
+
+    @property
+    def now(self) -> float:
+        return NOW + self.machine
+
+    def look(self, machine: float) -> procedure_start.Start:
+        self.machine = machine
+        return self.check.look(self.now)
+
+    def feed(self, taken: float, frame: str = "tool0") -> None:
+        self.inputs.wrench(self.now, taken, frame, NO, NO)
+        self.inputs.joints(self.now, taken, AXES.driver, Q)
+        self.inputs.tcp(self.now, taken, "base_link", (1.9, 0.0, 1.1), (0.0, 0.0, 0.0, 1.0))
+
+    def state(self, stamp: float, mode: int = RobotState.MODE_POSITION) -> RobotState:
+        header = Header()
+        header.stamp.sec, header.stamp.nanosec = int(stamp), int(1e9 * (stamp % 1.0))
+        return RobotState(header=header, mode=mode)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
+    return Asked(monkeypatch)
+
+
+def test_a_late_wrench_in_the_frame_of_the_driver_before_does_not_end_the_run(asked: Asked) -> None:
+    asked.feed(NOW - 0.05, frame="base_link")
+    assert asked.look(0.1).waits and not asked.look(0.1).stop
+    asked.feed(asked.now, frame="base_link")  # stamped by a clock that is ahead of this node's
+    assert not asked.look(0.2).stop
+    assert not asked.look(0.31).stop
+    asked.feed(NOW + 0.2, frame="base_link")  # later still, but of before
+    assert not asked.look(0.4).stop
+    asked.check.robot_said(asked.state(asked.now))
+    asked.feed(asked.now)
+    assert asked.look(0.6).begin
+
+
+def test_the_wrong_frame_of_this_driver_ends_it(asked: Asked) -> None:
+    asked.look(0.31)
+    asked.machine = 0.35
+    asked.feed(asked.now, frame="base_link")
+    assert "header.frame_id is 'base_link'" in asked.look(0.4).stop
+
+
+def test_readings_of_before_do_not_let_it_begin(asked: Asked) -> None:
+    asked.check.robot_said(asked.state(NOW - 0.05))
+    asked.feed(NOW - 0.05)
+    asked.look(0.31)
+    asked.feed(NOW + 0.29)
+    waits = asked.look(0.6).waits
+    assert all(topic in waits for topic in ("robot/state", "wrench", "joint_states", "tcp_pose")), waits
+
+
+def test_a_fault_that_the_robot_told_before_is_not_believed(asked: Asked) -> None:
+    assert not asked.check.believes(asked.now, asked.state(NOW - 0.05, RobotState.MODE_FAULT))
+    asked.look(0.31)
+    assert not asked.check.believes(asked.now, asked.state(NOW + 0.2, RobotState.MODE_FAULT))
+    asked.machine = 0.4
+    assert asked.check.believes(asked.now, asked.state(asked.now, RobotState.MODE_FAULT))
