@@ -16,6 +16,8 @@ from irec_calibration.model import Estimate
 from irec_calibration.poses.course import course_of
 from irec_calibration.session import Session, read_session
 from irec_sim.cellfile import read_cell as simulated_cell
+from irec_sim.course import plan_course
+from irec_sim.errors import SimError
 from irec_sim.session import generate, write_session
 from irec_sim.truth import make_truth
 
@@ -73,3 +75,44 @@ def test_a_cell_without_a_course_has_none_and_a_wrong_one_is_refused_with_its_pl
     far = dict(cell.raw["course"], to=[9.0, 9.0])
     with pytest.raises(CellError, match="can't follow"):
         course_of(replace(cell, raw={"course": far}), session)
+
+
+def asked(section: dict, tool_x: object) -> dict:
+    return {k: v for k, v in section.items() if k != "tool_x"} | ({} if tool_x is None else {"tool_x": tool_x})
+
+
+@pytest.mark.parametrize("tool_x", ["course", [-0.7, 0.0, -0.714], [0.0, 1.0, 0.0], [0.0, -1.0, 0.3]])
+def test_predicted_and_driven_course_turn_the_tool_as_the_cell_file_says(cell, session, tool_x):
+    section = asked(cell.raw["course"], tool_x)
+    predicted = course_of(replace(cell, raw={**cell.raw, "course": section}), session)
+    driven = plan_course(replace(simulated_cell(CELL), course=section))
+    assert predicted is not None
+    way = np.linspace(0.0, 1.0, len(driven.q))
+    q = np.array([np.interp(predicted.s / predicted.s[-1], way, angle) for angle in driven.q.T]).T
+    assert np.abs(predicted.session.q[::2] - q).max() < 2e-4
+    x = session.robot.kinematics(predicted.session.q[::2]).R_tool[:, :, 0]
+    wanted = predicted.tangent if tool_x == "course" else np.tile(tool_x, (len(x), 1))
+    along = wanted - predicted.normal * np.sum(wanted * predicted.normal, axis=1)[:, None]
+    assert np.abs(x - along / np.linalg.norm(along, axis=1)[:, None]).max() < 1e-6
+
+
+def test_without_the_key_predicted_and_driven_course_may_differ(cell, session):
+    section = asked(cell.raw["course"], None)
+    predicted = course_of(replace(cell, raw={**cell.raw, "course": section}), session)
+    driven = plan_course(replace(simulated_cell(CELL), course=section))
+    assert predicted is not None
+    assert abs(predicted.session.q[-1, 5] - driven.q[-1, 5]) > 0.5  # rad about the tool's axis
+    said = plan_course(simulated_cell(CELL))  # the key of the file asks for what the simulator does without it
+    assert np.abs(said.q - driven.q).max() < 1e-9
+
+
+@pytest.mark.parametrize(("tool_x", "words"), [("across", "3 numbers"), ([1.0], "3 numbers"), ("normal", "lies along the tool")])
+def test_a_tool_direction_that_says_nothing_is_refused_by_both(cell, session, tool_x, words):
+    if tool_x == "normal":
+        tool_x = plan_course(simulated_cell(CELL)).normal[0].tolist()
+    section = asked(cell.raw["course"], tool_x)
+    section |= {"to": [section["from"][0] + 1e-4, section["from"][1]]}  # short: the same normal all along
+    with pytest.raises(CellError, match=words):
+        course_of(replace(cell, raw={**cell.raw, "course": section}), session)
+    with pytest.raises(SimError, match=words):
+        plan_course(replace(simulated_cell(CELL), course=section))

@@ -24,6 +24,8 @@ from .poses import tool_frames
 RAMP_TIME = 0.5  # s in which the process force comes and goes while the robot stands at either end
 _WAVES = np.array([2.0, 3.0, 2.5])  # of the ripple along the course, for x, y, z of the force
 _PHASES = np.array([0.3, 1.7, 4.0])  # rad
+_TURNS = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5)  # rad about the tool's axis, tried where the cell file does not say
+_ALONG_TOOL = 0.02  # sine of the angle to the tool's axis below which a direction says nothing about its turn
 STEP = 0.3  # rad, largest change of a joint from knot to knot
 SINGULARITY = 0.06  # smallest singular value of the Jacobian that the course may come to, unit of length 1 m
 
@@ -85,15 +87,33 @@ def plan_course(cell: CellFile) -> CoursePlan:
         p = p - rail * axis
     tangent = np.gradient(p, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    for turn in (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5):
-        q = follow(cell, p, tool_frames(normal, np.full(len(p), turn)), STEP, SINGULARITY)
+    for R in _tool_frames(cell, section.get("tool_x"), tangent, normal):
+        q = follow(cell, p, R, STEP, SINGULARITY)
         if q is not None:
-            R = tool_frames(normal[:1], np.array([turn]))
             above = p[:1] + cell.approach_distance * normal[:1]
-            q_approach, reached = inverse(cell.chain, above, R, q[:1])
+            q_approach, reached = inverse(cell.chain, above, R[:1], q[:1])
             if reached[0]:
                 return CoursePlan(q, q_approach[0], rail, length, tangent, normal, mean, ripple, speed)
-    raise SimError(f"{cell.path}: the robot can't follow the course from {start} to {end} m; move it on the surface")
+    turned = f" with tool_x {section['tool_x']}" if "tool_x" in section else ""
+    raise SimError(f"{cell.path}: the robot can't follow the course from {start} to {end} m{turned}; move it on the surface")
+
+
+def _tool_frames(cell: CellFile, tool_x: object, tangent: Array, normal: Array) -> list[Array]:
+    """Rotations of tool0 along the course (k, 3, 3): as the file says, or those that are tried where it does not."""
+    if tool_x is None:
+        return [tool_frames(normal, np.full(len(normal), turn)) for turn in _TURNS]
+    try:
+        x = tangent.copy() if tool_x == "course" else np.tile(np.array(tool_x, dtype=float).reshape(3), (len(normal), 1))
+    except (TypeError, ValueError) as error:
+        raise SimError(f"{cell.path}: course.tool_x is {tool_x!r}; 'course' or a direction of 3 numbers is needed") from error
+    z = -normal
+    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
+    x -= z * np.einsum("ij,ij->i", x, z)[:, None]
+    length = np.linalg.norm(x, axis=1, keepdims=True)
+    if length.min() < _ALONG_TOOL:
+        raise SimError(f"{cell.path}: course.tool_x {tool_x!r} lies along the tool; name a direction along the surface")
+    x /= length
+    return [np.stack([x, np.cross(z, x), z], axis=2)]
 
 
 def _points(cell: CellFile, start: Array, end: Array, face: str) -> tuple[Array, Array, float]:

@@ -112,7 +112,12 @@ def _sensor(document: Document) -> None:
     check_direction(document, "force_sensor", "axis_in_tool0")
 
 
-RULES = (_quaternions, _rail, _surface, _names, _loads, _distances, _workspace, _sensor)
+def _course(document: Document) -> None:
+    if document.sound("course", "tool_x") and isinstance(document.data["course"]["tool_x"], list):
+        check_direction(document, "course", "tool_x")
+
+
+RULES = (_quaternions, _rail, _surface, _names, _loads, _distances, _workspace, _sensor, _course)
 
 
 def check_robot(document: Document, robot: Robot) -> None:

@@ -2,6 +2,7 @@
 """The loaded course of a cell as rows that a model can be asked about: joint angles along the surface and the process force.
 
 The cell file's section `course` names it: a straight way in the surface's own coordinates, pressed on with a changing force.
+`course.tool_x` says how the tool is turned about its axis; without it the tool is turned as in the nearest pose of the session.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from ..cell import Cell
 from ..cell.surface import Block, Patch
 from ..errors import CellError
 from ..session.data import Session
-from ..typing import Array
-from .ik import Chain, solve_tool_axis, wrap_into_limits
+from ..typing import Array, BoolArray
+from .ik import Chain, solve_pose, solve_tool_axis, wrap_into_limits
 
 STEPS = 60
 WAVES, PHASES = np.array([2.0, 3.0, 2.5]), np.array([0.3, 1.7, 4.0])  # of the force's ripple along the course, for x, y, z
 LARGEST_STEP = 0.3  # rad between two points of the course
+TURN_STEP = 0.2  # rad about the tool's axis, from how a pose of the session stands to how the course asks for it
+ALONG_TOOL = 0.02  # sine of the angle to the tool's axis below which a direction says nothing about its turn
 
 
 @dataclass(frozen=True)
@@ -66,10 +69,10 @@ def course_of(cell: Cell, session: Session, steps: int = STEPS) -> Course | None
         raise CellError(f"{cell.path} and session '{session.name}' are of different robots; the course is left out")
     p, normal = _points(cell, start + np.linspace(0.0, 1.0, steps)[:, None] * (end - start), face)
     p, ext = _on_rail(cell, session, p)
-    q = _follow(cell, session, p, normal)
     s = np.r_[0.0, np.linalg.norm(np.diff(p, axis=0), axis=1).cumsum()]
     tangent = np.gradient(p, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    q = _follow(cell, session, p, normal, _tool_frames(cell, section.get("tool_x"), tangent, normal))
     force = mean + ripple * np.sin(2.0 * np.pi * WAVES * (s / s[-1])[:, None] + PHASES)
     return Course(s, tangent, normal, _rows(session, q, p, force, s / speed, ext), cell.tolerance)
 
@@ -95,22 +98,68 @@ def _on_rail(cell: Cell, session: Session, p: Array) -> tuple[Array, dict[str, f
     return p - at * cell.rail.axis, ext | dict.fromkeys(carrying, at)
 
 
-def _follow(cell: Cell, session: Session, p: Array, normal: Array) -> Array:
-    """Joint angles along the points (n, 3), beginning from the pose of the session that is nearest to the first."""
+def _tool_frames(cell: Cell, tool_x: object, tangent: Array, normal: Array) -> Array | None:
+    """Rotations of tool0 into base_link along the course (n, 3, 3); None where the file does not say how it is turned."""
+    if tool_x is None:
+        return None
+    try:
+        wanted = tangent if tool_x == "course" else np.tile(np.array(tool_x, dtype=float).reshape(3), (len(tangent), 1))
+    except (TypeError, ValueError) as error:
+        raise CellError(f"{cell.path}: course.tool_x is {tool_x!r}; 'course' or a direction of 3 numbers is needed") from error
+    x = wanted - normal * np.sum(wanted * normal, axis=1)[:, None]
+    size = np.linalg.norm(x, axis=1)
+    if not (size > ALONG_TOOL * np.linalg.norm(wanted, axis=1)).all():
+        raise CellError(f"{cell.path}: course.tool_x is {tool_x!r}, which lies along the tool; name one along the surface")
+    x /= size[:, None]
+    return np.stack([x, np.cross(-normal, x), -normal], axis=2)
+
+
+def _follow(cell: Cell, session: Session, p: Array, normal: Array, R_tool: Array | None) -> Array:
+    """Joint angles along the points (n, 3), beginning from the pose of the session that is nearest to the first.
+
+    Args:
+        R_tool: rotations of tool0 into base_link (n, 3, 3); None: as they come from that pose.
+    """
     chain = Chain.of(session.robot)
     near = np.argsort(np.linalg.norm(session.p_tcp_in_base - p[0], axis=1))
     limits = (session.robot.lower, session.robot.upper, chain.is_prismatic)
     for first in dict.fromkeys(near[:: max(1, len(near) // 12)].tolist()):
-        q = [session.q[first]]
-        for point, n in zip(p, normal, strict=True):
-            found, reached = solve_tool_axis(chain, point[None], -n[None], q[-1][None])
-            if not reached[0] or (len(q) > 1 and np.abs(found[0] - q[-1]).max() > LARGEST_STEP):
+        start, reached = solve_tool_axis(chain, p[:1], -normal[:1], session.q[first][None])
+        if not reached[0]:
+            continue
+        if R_tool is not None:
+            start, reached = _turn(chain, start, p[:1], R_tool[0])
+        if not reached[0]:
+            continue
+        q = [start[0]]
+        for k in range(1, len(p)):
+            at, before = slice(k, k + 1), q[-1][None]
+            if R_tool is None:
+                found, reached = solve_tool_axis(chain, p[at], -normal[at], before)
+            else:
+                found, reached = solve_pose(chain, p[at], R_tool[at], before)
+            if not reached[0] or np.abs(found[0] - q[-1]).max() > LARGEST_STEP:
                 break
             q.append(found[0])
-        angles = wrap_into_limits(np.array(q[1:]), *limits) if len(q) == len(p) + 1 else np.zeros((0, 0))
+        angles = wrap_into_limits(np.array(q), *limits) if len(q) == len(p) else np.zeros((0, 0))
         if len(angles) and (angles >= limits[0]).all() and (angles <= limits[1]).all():
             return angles
     raise CellError(f"{cell.path}: course: the robot can't follow it as it stands in session '{session.name}'")
+
+
+def _turn(chain: Chain, q: Array, p: Array, R: Array) -> tuple[Array, BoolArray]:
+    """The tool turned about its axis, (1, k), step by step, so that the arm stays folded as it is; whether it got there (1,)."""
+    _, now, _ = chain.forward(q)
+    x = R.T @ now[0][:, 0]  # where x points now, seen from where it is to point
+    angle = float(np.arctan2(x[1], x[0]))
+    steps = max(1, int(np.ceil(abs(angle) / TURN_STEP)))
+    reached = np.ones(1, dtype=bool)
+    for left in angle * np.arange(steps - 1, -1, -1) / steps:
+        about_z = np.array([[np.cos(left), -np.sin(left), 0.0], [np.sin(left), np.cos(left), 0.0], [0.0, 0.0, 1.0]])
+        q, reached = solve_pose(chain, p, (R @ about_z)[None], q)
+        if not reached[0]:
+            break
+    return q, reached
 
 
 def _rows(session: Session, q: Array, p: Array, force: Array, time: Array, ext: dict[str, float]) -> Session:

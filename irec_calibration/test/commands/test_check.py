@@ -87,6 +87,8 @@ def test_several_mistakes_of_a_cell_are_said_in_one_run_one_line_each(cell, caps
         (lambda c: c["surface"].update(quat_xyzw=[0.93969262, 0.0, 0.34202014, 0.0]), "turns its back to every tracker station"),
         (lambda c: c["procedure"].update(force_abort_n=1000.0), "must be more than the largest load case, 1135 N"),
         (lambda c: c["force_sensor"].update(range_n=1000.0), "the load cases need more: 1100 N"),
+        (lambda c: c["course"].update(tool_x=[0.0, 0.0, 0.0]), "course.tool_x is [0.0, 0.0, 0.0], a direction must not be 0"),
+        (lambda c: c["course"].update(tool_x="ahead"), "course.tool_x is 'ahead'"),
     ],
 )
 def test_what_a_cell_names_is_there_and_agrees(cell, capsys, change, part):
