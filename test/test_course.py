@@ -66,6 +66,8 @@ def test_a_correction_with_the_right_model_leaves_nothing_and_one_with_half_its_
     assert np.allclose(on_course(course, half, study).before, 0.5 * right.without, atol=1e-12)
     assert (right.se > 0.0).all() and right.se.mean() < 0.1 * right.without.mean()
     assert "without correction" in right.in_words() and "0.30 mm" in right.in_words()
+    assert "as the cell file says (course.tool_x)" in right.in_words()
+    assert "as in the nearest pose of the session" in replace(right, is_turned=False).in_words()
 
 
 def test_a_cell_without_a_course_has_none_and_a_wrong_one_is_refused_with_its_place(cell, session):

@@ -22,6 +22,7 @@ class OnCourse:
         s: way along the course, (n,), m.
         without: no correction. before: corrected with the earlier model, if the one in use is right.
         se: standard error of the prediction, from the parameters' standard errors; tolerance: of the process, m.
+        is_turned: the cell file says how the tool is turned about its axis.
     """
 
     s: Array
@@ -29,15 +30,17 @@ class OnCourse:
     before: Array
     se: Array
     tolerance: float
+    is_turned: bool = False
 
     def in_words(self) -> str:
         """One sentence with mean and largest deviations, mm."""
         without, before = (f"{1e3 * v.mean():.3f} (at most {1e3 * v.max():.3f})" for v in (self.without, self.before))
+        turned = "as the cell file says (course.tool_x)" if self.is_turned else "as in the nearest pose of the session"
         return (
             f"Predicted lateral deviation on the course, if this model is right: {without} mm without correction,"
             f" {before} mm corrected with the first model; this model itself is known to {1e3 * self.se.mean():.3f} mm"
             f" there (standard error). The tolerance is {1e3 * self.tolerance:.2f} mm. Each point is pressed on by"
-            " itself, the tool turned about its axis as in the nearest pose of the session."
+            f" itself, the tool turned about its axis {turned}."
         )
 
 
@@ -57,6 +60,7 @@ def on_course(course: Course, before: Model, after: Study) -> OnCourse:
         np.abs(course.across(new - old)),
         _standard_error(course, after),
         course.tolerance,
+        course.is_turned,
     )
 
 

@@ -2,7 +2,8 @@
 """A robot that only takes joint positions, as the contract wants a robot: moves, force control, dead man's switch, offset.
 
 One tick per joint state: the reported positions and the process wrench go in, the positions to be sent come out. Force control
-is an admittance without stiffness: v = (f_read - f_asked) / (K T), limited in speed, along x, y, z of tool0.
+is an admittance without stiffness: v = (f_read - f_asked) / (K T), limited in speed, along x, y, z of tool0. It waits for a robot
+that is late, or whose states come late: what is sent ahead of where the robot is would be pressed once it gets there.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ POSITION, FORCE, FAULT = 0, 1, 2  # MODE_ constants of irec_msgs/RobotState
 DAMPING = 1e-6  # of the pseudo-inverse
 RETREAT_SPEED = 0.05  # m/s
 NO_WRENCH = 0.1  # s without a wrench in force control: no advance
+LEAD_SHARE = 0.3  # of the set point: what the way that was sent and not gone yet may add to the force, by contact_stiffness
 LEAVING = "the robot is leaving the contact by itself: no force set point or no move came in time"
 
 
@@ -192,7 +194,7 @@ class PositionRobot:
             self.fault(problem)
             return None
         if self.mode == FORCE:
-            self._press(now, dt, wrench)
+            self._press(now, dt, reported, wrench)
         elif self._stands is not None:
             self._stand(now, wrench)
         self._move(now)
@@ -200,7 +202,7 @@ class PositionRobot:
         self._following.sent(now, send)
         return send
 
-    def _press(self, now: float, dt: float, wrench: tuple[float, Array] | None) -> None:
+    def _press(self, now: float, dt: float, reported: Array, wrench: tuple[float, Array] | None) -> None:
         s = self.settings
         if self._ramp_from is None and s.lease > 0.0 and now - self._renewed > s.lease:
             self.expired += 1
@@ -221,6 +223,8 @@ class PositionRobot:
         v *= min(1.0, s.contact_speed / size) if size > 0.0 else 1.0
         base = self.commanded
         _, R, J = self._planner.chain.forward(base[None, : self._planner.n])
+        ahead = R[0].T @ J[0, :3] @ (base - reported)[: self._planner.n]  # m, in tool0
+        v *= self._patience(v, ahead, asked)
         stepped = base.copy()
         stepped[: self._planner.n] += _inverse(J[0]) @ np.concatenate([R[0] @ v * dt, np.zeros(3)])
         try:
@@ -229,6 +233,15 @@ class PositionRobot:
             self.message = f"force control stands: {error}"
             return
         self._base = stepped
+
+    def _patience(self, v: Array, ahead: Array, asked: Array) -> float:
+        """Share of the velocity v (3,) at which to go on, `ahead` (3,), m, of where the robot is; from half the limit on less."""
+        s = self.settings
+        limit = LEAD_SHARE * max(float(np.linalg.norm(asked)), s.touch) / s.contact_stiffness
+        lead = float(np.linalg.norm(ahead))
+        if v @ ahead <= 0.0:
+            return 1.0  # back towards the robot
+        return min(1.0, max(0.0, 2.0 - 2.0 * lead / limit))
 
     def _stand(self, now: float, wrench: tuple[float, Array] | None) -> None:
         """In position control where force control left the robot: leave the contact where no move comes."""

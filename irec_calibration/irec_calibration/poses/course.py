@@ -32,7 +32,7 @@ class Course:
     Attributes:
         s: way along the course, (n,), m. tangent, normal: unit vectors along it and out of the surface, (n, 3), in base_link.
         session: 2 n rows: each point without and with its process force, as one pose of Procedure 1; the marker is never seen.
-        tolerance: of the process, m.
+        tolerance: of the process, m. is_turned: the cell file says how the tool is turned about its axis.
     """
 
     s: Array
@@ -40,6 +40,7 @@ class Course:
     normal: Array
     session: Session
     tolerance: float
+    is_turned: bool = False
 
     def across(self, displacement: Array) -> Array:
         """The part of displacements (n, 3) along the surface across the course, (n,), m: what a laid tow is off by."""
@@ -74,7 +75,8 @@ def course_of(cell: Cell, session: Session, steps: int = STEPS) -> Course | None
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
     q = _follow(cell, session, p, normal, _tool_frames(cell, section.get("tool_x"), tangent, normal))
     force = mean + ripple * np.sin(2.0 * np.pi * WAVES * (s / s[-1])[:, None] + PHASES)
-    return Course(s, tangent, normal, _rows(session, q, p, force, s / speed, ext), cell.tolerance)
+    rows = _rows(session, q, p, force, s / speed, ext)
+    return Course(s, tangent, normal, rows, cell.tolerance, is_turned=bool(section.get("tool_x")))
 
 
 def _points(cell: Cell, local: Array, face: str) -> tuple[Array, Array]:

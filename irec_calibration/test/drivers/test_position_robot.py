@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -265,3 +266,34 @@ def test_a_set_point_that_is_no_number_is_refused() -> None:
     with pytest.raises(MoveError, match="finite numbers"):
         line.robot.switch(True, (0.0, float("nan"), -10.0), line.now)
     assert line.robot.mode == POSITION
+
+
+@pytest.mark.parametrize("ticks", [1, 10, 20])
+def test_a_robot_that_is_late_is_pressed_on_without_overshoot(ticks: int) -> None:
+    line, on_the_way = Line(), deque([HOME] * ticks)
+    line.robot.switch(True, (0.0, 0.0, -1000.0), line.now)
+    largest = 0.0
+    for _ in range(1000):
+        line.now += TICK
+        line.robot.set_force((0.0, 0.0, -1000.0), line.now)
+        out = line.robot.tick(line.now, line.q, (line.now, line.force))
+        assert out is not None, line.robot.message
+        on_the_way.append(out)
+        line.q = on_the_way.popleft()
+        line.p = tool(line.q)[0]
+        largest = max(largest, -float(line.force[2]))
+    assert largest < 1300.0
+    assert line.force[2] == pytest.approx(-1000.0, abs=30.0)
+
+
+def test_old_states_that_come_in_a_burst_do_not_drive_the_robot_into_the_surface() -> None:
+    line = Line()
+    line.robot.switch(True, (0.0, 0.0, -1000.0), line.now)
+    stood, out = line.q, line.q
+    for _ in range(100):  # this process was held up for a second, the robot stood meanwhile and read no force
+        line.now += TICK
+        line.robot.set_force((0.0, 0.0, -1000.0), line.now)
+        sent = line.robot.tick(line.now, stood, (line.now, np.zeros(3)))
+        assert sent is not None
+        out = sent
+    assert np.linalg.norm(tool(out)[0] - tool(stood)[0]) < 0.31e-3
