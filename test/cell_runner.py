@@ -80,10 +80,11 @@ def run_procedure(cell: Cell, folder: Path, seed: int = 1) -> tuple[Session, Pro
                 rows.append(command)
             elif isinstance(command, Event) and command.kind == "stopped":
                 raise IrecError(f"the run stopped: {command.text}")
-    return _session(cell, rows, folder), procedure
+    return session_of(cell, rows, folder), procedure
 
 
-def _session(cell: Cell, rows: list[Row], folder: Path) -> Session:
+def session_of(cell: Cell, rows: list[Row], folder: Path) -> Session:
+    """Write the rows as the table of a session, and read it back."""
     import yaml
 
     folder.mkdir(parents=True)

@@ -23,7 +23,7 @@ from geometry_msgs.msg import WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.commands.tool_load import parameter_file
 from irec_calibration.effects import find_effect
-from irec_calibration.identification import identify
+from irec_calibration.identification.identify import identify
 from irec_calibration.model import Term
 from irec_calibration.poses.plan import make_plan, pose_list
 from irec_calibration.poses.store import write_poses
@@ -95,7 +95,7 @@ class Operator:
 @pytest.fixture
 def operator(ros_domain: int, start_process: Start, tmp_path: Path) -> Iterator[Operator]:
     chain = read_simulated(CELL).chain
-    start_process(node("irec_sim.nodes.ros2_control_node", cell=CELL, speed_factor=SPEED, max_lead=0.03), name="hardware")
+    start_process(node("irec_sim.nodes.ros2_control_node", cell=CELL, speed_factor=SPEED, max_lead=0.1), name="hardware")
     x, y, z = (float(v) for v in chain.tool_com)
     load = ToolLoad(float(chain.tool_mass), (x, y, z), BIAS[:3], BIAS[3:])
     weight = tmp_path / "tool_load.yaml"
@@ -112,7 +112,6 @@ def operator(ros_domain: int, start_process: Start, tmp_path: Path) -> Iterator[
 
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.xfail(reason="one pose was seen complete; on a busy machine force overshoots or readings pause", strict=False)
 def test_procedure_1_runs_on_a_robot_that_takes_joint_trajectories_only(
     operator: Operator, start_process: Start, tmp_path: Path
 ) -> None:

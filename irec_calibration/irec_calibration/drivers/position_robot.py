@@ -24,7 +24,8 @@ POSITION, FORCE, FAULT = 0, 1, 2  # MODE_ constants of irec_msgs/RobotState
 DAMPING = 1e-6  # of the pseudo-inverse
 RETREAT_SPEED = 0.05  # m/s
 NO_WRENCH = 0.1  # s without a wrench in force control: no advance
-LEAD_SHARE = 0.3  # of the set point: what the way that was sent and not gone yet may add to the force, by contact_stiffness
+LEAD_SHARE = 0.1  # of the set point: what the way that was sent and not gone yet may add to the force, by contact_stiffness
+LEAD_WAIT = 0.5  # s after which a robot that stays behind is not late: its servo gives way by that under the load
 LEAVING = "the robot is leaving the contact by itself: no force set point or no move came in time"
 
 
@@ -87,6 +88,8 @@ class PositionRobot:
         self._ramp_from: tuple[float, Array] | None = None
         self._stands: float | None = None  # since when in the contact in position control
         self._tick_at = -math.inf
+        self._gives_way = np.zeros(3)  # m by which the robot stays behind under the load, in tool0
+        self._waits: float | None = None  # since when the force control waits for the robot
 
     @property
     def offset(self) -> Array:
@@ -145,6 +148,7 @@ class PositionRobot:
             self._take(asked)
             if self.mode != FORCE:
                 self._freeze()
+                self._gives_way, self._waits = np.zeros(3), None
             self.mode, self._renewed, self._stands = FORCE, now, None
         elif self.mode == FORCE:
             self.mode, self._stands = POSITION, now
@@ -224,7 +228,7 @@ class PositionRobot:
         base = self.commanded
         _, R, J = self._planner.chain.forward(base[None, : self._planner.n])
         ahead = R[0].T @ J[0, :3] @ (base - reported)[: self._planner.n]  # m, in tool0
-        v *= self._patience(v, ahead, asked)
+        v *= self._patience(now, v, ahead, asked)
         stepped = base.copy()
         stepped[: self._planner.n] += _inverse(J[0]) @ np.concatenate([R[0] @ v * dt, np.zeros(3)])
         try:
@@ -234,14 +238,19 @@ class PositionRobot:
             return
         self._base = stepped
 
-    def _patience(self, v: Array, ahead: Array, asked: Array) -> float:
+    def _patience(self, now: float, v: Array, ahead: Array, asked: Array) -> float:
         """Share of the velocity v (3,) at which to go on, `ahead` (3,), m, of where the robot is; from half the limit on less."""
         s = self.settings
         limit = LEAD_SHARE * max(float(np.linalg.norm(asked)), s.touch) / s.contact_stiffness
-        lead = float(np.linalg.norm(ahead))
-        if v @ ahead <= 0.0:
-            return 1.0  # back towards the robot
-        return min(1.0, max(0.0, 2.0 - 2.0 * lead / limit))
+        lead = ahead - self._gives_way
+        share = 2.0 - 2.0 * float(np.linalg.norm(lead)) / limit if v @ lead > 0.0 else 1.0
+        if share > 0.05:
+            self._waits = None
+        elif self._waits is None:
+            self._waits = now
+        elif now - self._waits > LEAD_WAIT:
+            self._gives_way, self._waits = ahead, None
+        return min(1.0, max(0.0, share))
 
     def _stand(self, now: float, wrench: tuple[float, Array] | None) -> None:
         """In position control where force control left the robot: leave the contact where no move comes."""

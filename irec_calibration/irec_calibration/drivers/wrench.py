@@ -32,7 +32,7 @@ class ProcessWrench:
         if parent_joint(sensor) != parent_joint(tool):
             raise CellError(f"link '{frame}' is not fixed to tool0: a force sensor there does not measure the process force")
         T = tool.placement.actInv(sensor.placement)
-        self._R, self._p = np.array(T.rotation), np.array(T.translation)
+        self.R_sensor_in_tool, self._p = np.array(T.rotation), np.array(T.translation)
 
     def raw(self, reading: Array) -> Array:
         """The reading (6,), N and N m, in the sensor frame, with the contract's sign."""
@@ -40,6 +40,6 @@ class ProcessWrench:
 
     def at_tcp(self, raw: Array, R_tool_in_base: Array) -> Array:
         """Process wrench (6,) in tool0, torque about the TCP, from a raw one (6,); R_tool_in_base (3, 3)."""
-        in_sensor = self._load.aligned(raw - self._load.reading(R_tool_in_base @ self._R, np.array(G)))
-        force = self._R @ in_sensor[:3]
-        return np.concatenate([force, self._R @ in_sensor[3:] + np.cross(self._p, force)])
+        in_sensor = self._load.aligned(raw - self._load.reading(R_tool_in_base @ self.R_sensor_in_tool, np.array(G)))
+        force = self.R_sensor_in_tool @ in_sensor[:3]
+        return np.concatenate([force, self.R_sensor_in_tool @ in_sensor[3:] + np.cross(self._p, force)])

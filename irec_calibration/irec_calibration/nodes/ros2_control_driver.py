@@ -39,6 +39,7 @@ from .driver_commands import DriverCommands
 from .rows import vector
 
 SILENCE = 0.5  # s without joint states, after which the robot is in fault; of the cell's clock where time is simulated
+STATE_PERIOD = 0.1  # s, longest between two robot/state, by the cell's clock and by the machine's
 SENSORS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 EITHER = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches every publisher
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -90,6 +91,8 @@ class Ros2ControlDriver(GuardedNode):
         self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._period = 1.0 / p["rate"]
         self._ticked = self._state_sent = -1.0
+        self._state_told = time.monotonic()
+        self._stamp = 0.0  # of the newest joint states
         self._last_joints = self._now
         self._R_tool = np.eye(3)
         self._wrench: tuple[float, np.ndarray] | None = None
@@ -115,8 +118,8 @@ class Ros2ControlDriver(GuardedNode):
 
     @property
     def _now(self) -> float:
-        """Clock of leases and moves, s: the machine's steady one, the cell's where time is simulated."""
-        return float(self.get_clock().now().nanoseconds * 1e-9) if self._simulated else time.monotonic()
+        """Clock of leases and moves, s: the machine's steady one; where time is simulated the cell's (/clock may be late)."""
+        return max(self.get_clock().now().nanoseconds * 1e-9, self._stamp) if self._simulated else time.monotonic()
 
     def on_error(self, where: str, error: Exception, answered: bool) -> None:
         """Nothing more is sent: the trajectory controller holds."""
@@ -125,6 +128,12 @@ class Ros2ControlDriver(GuardedNode):
     # --- from the robot -----------------------------------------------------------------------------------------------
 
     def _on_joints(self, m: JointState) -> None:
+        self._stamp = m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec
+        self._follow(m)
+        if self._follower is not None:  # each, or a simulated cell waits for points that are not due
+            self._follower.publish(Header(stamp=m.header.stamp, frame_id=self.get_fully_qualified_name()))
+
+    def _follow(self, m: JointState) -> None:
         if list(m.name) != self._places[0]:
             missing = [name for name in self._axes.driver if name not in m.name]
             if missing:  # another publisher of joint_states, e.g. of a gripper
@@ -155,8 +164,6 @@ class Ros2ControlDriver(GuardedNode):
             self._point.points[0].positions = sent.tolist()
             self._trajectory.publish(self._point)
         self._publish_state(now)
-        if self._follower is not None:
-            self._follower.publish(Header(stamp=m.header.stamp, frame_id=self.get_fully_qualified_name()))
 
     def _on_sensor(self, m: WrenchStamped) -> None:
         f, t = m.wrench.force, m.wrench.torque
@@ -177,14 +184,16 @@ class Ros2ControlDriver(GuardedNode):
     def _look(self) -> None:
         if self._places[0] and self._now - self._last_joints > SILENCE:
             self._robot.fault(f"joint_states is silent for {SILENCE:g} s; clear it with robot/clear_fault when it is back")
+        if time.monotonic() - self._state_told > STATE_PERIOD:  # who waits for it counts by that clock, however slow a cell is
+            self._state_sent = -1.0
             self._publish_state(self._now)
 
     def _publish_state(self, now: float) -> None:
         r = self._robot
         state = (r.mode, r.in_motion, r.retreating, r.expired, r.message)
-        if state == self._last_state and now - self._state_sent < 0.1:
+        if state == self._last_state and now - self._state_sent < STATE_PERIOD:
             return
-        self._last_state, self._state_sent = state, now
+        self._last_state, self._state_sent, self._state_told = state, now, time.monotonic()
         m = RobotState(
             mode=r.mode, in_motion=r.in_motion, retreating=r.retreating, expired_leases=r.expired, message=r.message,
             offset=vector(r.offset[:3]), late_offsets=r.late_offsets,

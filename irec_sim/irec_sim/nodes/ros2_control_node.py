@@ -24,6 +24,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from ..errors import SimError
+from ..trajectory import TrajectoryFollower
 from .cell_parameters import PARAMETERS, cell_of, instruments_of
 from .followers import Followers
 from .loop import SimulationLoop
@@ -42,8 +43,8 @@ class Ros2ControlNode(GuardedNode):
         p = Parameters(self, PARAMETERS)
         refuse_unknown_parameters(self)
         self.cell = cell = cell_of(p, instruments_of(p))
-        self._names = [*cell.chain.joint_names, *cell.rail_names]
-        self._points: list[tuple[float, np.ndarray]] = []  # time on the cell's clock, positions of all axes
+        self._controller = TrajectoryFollower(cell)
+        self._names = self._controller.names
         self.followers = Followers(self, p["max_lead"])
         self.loop = SimulationLoop(
             self._step, cell.period, p["speed_factor"], lambda: self.followers.may_go_on(cell.time), self._flush
@@ -67,21 +68,10 @@ class Ros2ControlNode(GuardedNode):
             return
         order = [list(m.joint_names).index(name) for name in self._names]
         points = [(p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec, np.array(p.positions)[order]) for p in m.points]
-
-        def take() -> None:
-            q, rail = self.cell.commanded
-            now = [*q, rail] if self.cell.rail_names else [*q]
-            self._points = [(self.cell.time, np.array(now)), *((self.cell.time + t, positions) for t, positions in points)]
-
-        self.loop.call(take)
+        self.loop.call(lambda: self._controller.take(points))
 
     def _step(self) -> None:
-        if self._points:
-            t = self.cell.time + self.cell.period
-            times = [at for at, _ in self._points]
-            wanted = np.array([np.interp(t, times, column) for column in np.array([x for _, x in self._points]).T])
-            n = self.cell.chain.n
-            self.cell.command(wanted[:n], float(wanted[n]) if self.cell.rail_names else 0.0)
+        self._controller.before_step()
         self.cell.step()
         self._streams.after_step()
 
