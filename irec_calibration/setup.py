@@ -27,6 +27,7 @@ setup(
         "lz4>=4.3", "zstandard>=0.22",
     ],
     extras_require={'report': ['matplotlib>=3.8', 'jinja2>=3.1'], 'ml': ['scikit-learn>=1.5'], 'mesh': ['trimesh>=4.4'],
+                    'step': ['cascadio>=0.1.1', 'trimesh>=4.4'],
                     'workbench': ['nicegui>=3.4,<4', 'plotly>=5.20'], 'completion': ['argcomplete>=3.3']},
     zip_safe=False,
     entry_points={

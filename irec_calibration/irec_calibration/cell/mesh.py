@@ -80,7 +80,9 @@ def read_mesh(path: Path) -> tuple[Array, IntArray]:
         raise PlanError(f"{path}: reading a mesh needs trimesh: pip install 'irec_calibration[mesh]'") from error
     kind = path.suffix.lower().lstrip(".")
     if kind in ("step", "stp", "iges", "igs"):
-        raise PlanError(f"{path}: {kind.upper()} is no mesh; export STL from the CAD program (deviation 0.1 mm) and name that")
+        other = "irec init-cell --surface makes one of it; or " if kind in ("step", "stp") else ""
+        advice = f"{other}export STL from the CAD program (deviation 0.1 mm) and name that"
+        raise PlanError(f"{path}: {kind.upper()} is no mesh; {advice}")
     if kind not in ("stl", "obj", "ply", "off"):
         raise PlanError(f"{path}: meshes are read from .stl, .obj, .ply and .off files")
     data = read_bytes(path, "mesh", PlanError, MESH_LIMIT)

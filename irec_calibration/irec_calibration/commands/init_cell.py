@@ -18,6 +18,7 @@ from ..files import read_text
 from ..files.regular import URDF_LIMIT
 from ..poses.check import cell_problems
 from ..poses.draft import Facts, cell_text, mesh_of_points, mesh_section, quaternion, shape_of
+from ..poses.step_file import STEP_SUFFIXES, mesh_of_step
 from ..robot import Robot
 from ..robot.frames import with_frames
 
@@ -30,7 +31,7 @@ QUESTIONS = (
     ("base_frame", "link of the description that positions refer to", "base_link"),
     (
         "surface",
-        "tooling: mesh file (STL, OBJ, PLY), table of probed points (CSV), 'block X Y Z' or 'patch X Y RX RY' in m",
+        "tooling: mesh file (STL, OBJ, PLY), STEP file, table of probed points (CSV), 'block X Y Z' or 'patch X Y RX RY' in m",
         None,
     ),
     ("surface_xyz", "where its origin is in base_link: x y z, m", "0 0 0"),
@@ -55,7 +56,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--joint-names", nargs="+", metavar="NAME", help="names in ROS topics where they are others")
     parser.add_argument("--home", nargs="+", type=float, metavar="RAD", help="joint angles of HOME (default: found)")
     parser.add_argument("--rail", nargs=5, type=float, metavar=("X", "Y", "Z", "LOWER", "UPPER"), help="axis and travel, m")
-    parser.add_argument("--surface", nargs="+", help="mesh file, CSV of probed points, `block X Y Z` or `patch X Y RX RY`, m")
+    parser.add_argument("--surface", nargs="+", help="mesh, STEP, CSV of probed points, `block X Y Z` or `patch X Y RX RY`, m")
     parser.add_argument("--faces", nargs="+", default=["+z"], help="of a block: +x -x +y -y +z -z (default: +z)")
     parser.add_argument("--scale", type=float, help="metres per unit of the mesh (default: recognised)")
     parser.add_argument("--surface-xyz", nargs=3, type=float, metavar="M", help="origin of the surface in base_link")
@@ -98,6 +99,11 @@ def run(args: argparse.Namespace) -> int:
             target = target.with_suffix(".obj")
             count, said = mesh_of_points(source, target, seen_from.mean(axis=0))
             notes += [f"{source}: {count} probed points; wrote {target}", *said]
+        elif source.suffix.lower() in STEP_SUFFIXES:
+            if args.scale is not None:
+                raise CellError(f"{source}: a STEP file states its unit; leave --scale out")
+            target, args.scale = target.with_suffix(".obj"), 1.0
+            notes += mesh_of_step(source, target)
         elif source.resolve() != target.resolve():
             if not source.is_file():
                 raise CellError(f"{source}: the mesh is not there")
