@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from irec_correction.limits import OffsetLimiter, OffsetLimits
 from irec_correction.rsi.answers import per_answer
 from irec_correction.rsi.complaints import REFUSED
-from irec_correction.rsi.sequence import CONFIRM, RESTART
+from irec_correction.rsi.sequence import CONFIRM, RESTART, SHORTEST_PAUSE
 from irec_correction.rsi.session import RsiSession
 from irec_correction.state import State
 
@@ -248,13 +248,53 @@ def test_a_packet_that_was_held_up_for_long_is_no_new_session():
 
 @pytest.mark.parametrize("counting", [*COUNTINGS, *UNCOUNTED])
 @pytest.mark.parametrize("back", [60, 10_000])
-def test_a_controller_whose_clock_begins_anew_without_a_pause_begins_at_zero(counting, back):
+def test_a_controller_whose_clock_began_anew_after_it_had_stopped_begins_at_zero(counting, back):
     link = Link(counting).run(100)
+    link.now += 2 * RESTART * PERIOD
     link.stop_and_start(-back)
     link.run(300)
     assert link.steps.max() <= STEP
     assert link.sequence.sessions == 2
     np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
+
+
+CLOCK_SET = [-10_000, -60, 60, 10_000]
+
+
+@pytest.mark.parametrize("counting", COUNTINGS)
+@pytest.mark.parametrize("cycles", CLOCK_SET)
+def test_a_clock_set_anew_in_a_session_that_goes_on_by_its_delay_goes_on_from_what_the_controller_holds(counting, cycles):
+    link = Link(counting).run(100)
+    link.ipoc += 4 * cycles
+    link.run(50)
+    assert link.answers > 120 and link.steps.max() <= STEP
+    assert link.sequence.sessions == 1
+
+
+@pytest.mark.parametrize("counting", COUNTINGS)
+@pytest.mark.parametrize("cycles", CLOCK_SET)
+@pytest.mark.parametrize("pause", [SHORTEST_PAUSE + 1, 50])
+def test_a_clock_set_anew_with_a_pause_that_delay_has_not_counted_begins_at_zero(counting, cycles, pause):
+    link = Link(counting).run(100)
+    link.stop_and_start(pause)
+    link.ipoc += 4 * cycles
+    link.run(50)
+    assert link.answers > 120 and link.steps.max() <= STEP
+    assert link.sequence.sessions == 2
+
+
+@pytest.mark.parametrize("counting", UNCOUNTED)
+@pytest.mark.parametrize("cycles", CLOCK_SET)
+@pytest.mark.parametrize("stopped", [False, True])
+def test_without_a_count_a_clock_set_anew_gets_no_answer_since_nobody_knows_what_the_controller_holds(counting, cycles, stopped):
+    link = Link(counting).run(100)
+    if stopped:
+        link.stop_and_start(20)
+    link.ipoc += 4 * cycles
+    answers = link.answers
+    link.run(30)  # fewer than the jump, and than its time-out
+    assert link.answers == answers and link.steps.max() <= STEP
+    assert "clock" in link.sequence.problem
 
 
 def test_ipoc_that_comes_to_its_end_is_no_new_session():

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 LAG = 1  # cycles by which Delay may be behind
 TOLERANCE = 1  # cycles
+UNCOUNTED = 6  # cycles that a session may not have counted; RSI is not stopped and started again within SHORTEST_PAUSE, 10
 
 
 class DelayCount:
@@ -21,16 +22,23 @@ class DelayCount:
     def __init__(self) -> None:
         self.rises = False
         self._in_a_row: bool | None = None
+        self._seen: bool | None = None  # what the last packet said of that; believed when nothing comes between it and the next
 
     def follow(self, last: int | None, delay: int | None, steps: int) -> bool:
         """Delay of two packets that are `steps` cycles apart; whether it has risen."""
         if delay is None or last is None:
             return False
+        if self._seen is not None:
+            self._in_a_row, self._seen = self._seen, None
         if delay > last:
             self.rises = True
         elif steps == 1 and last > 0:
-            self._in_a_row = delay < last
+            self._seen = delay < last
         return delay > last
+
+    def forget_last(self) -> None:
+        """The last packet may have been somebody else's."""
+        self._seen = None
 
     def since(self, then: int | None, delay: int | None) -> int:
         """Cycles without an answer that it has counted since a packet with `then`."""
@@ -38,21 +46,17 @@ class DelayCount:
             return 0
         return delay if self._in_a_row else delay - then
 
-    def is_replay(self, first: int | None, delay: int | None, packets: int) -> bool:
-        """A controller that gets no answer counts that; packets recorded earlier do not.
-
-        Args:
-            first, delay: of the first and the last of so many packets in a row that got no answer.
-        """
-        if not self.rises or delay is None or first is None:
-            return False
-        return delay - first < packets - 1 - LAG - TOLERANCE
+    def may_follow(self, last: int | None, delay: int | None, steps: int) -> bool:
+        """Whether one controller can have said both, `steps` cycles apart: it counts no cycles that have not been."""
+        if delay is None or last is None:
+            return delay is last
+        return delay - last <= steps + LAG + TOLERANCE
 
     def same_session(self, then: int | None, delay: int | None, cycles: int) -> bool | None:
         """Whether RSI has been running and counting since a packet with `then`, so many cycles ago; None: can't be told."""
         if delay is None or then is None or not self.rises:
             return None
-        least = cycles - 1 - LAG - TOLERANCE
+        least = cycles - 1 - UNCOUNTED
         in_a_row, in_all = delay >= least, delay - then >= least
         if self._in_a_row is None:
             return in_a_row if in_a_row == in_all else None

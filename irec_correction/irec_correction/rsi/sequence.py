@@ -10,10 +10,14 @@ here shows as a gap in IPOC.
 known whether they were taken. That is why two answers in a row make no more than one step of the limits (`per_answer`), and why,
 when Delay rises or cycles are missing, the controller gets the middle one of what it may hold until two cycles went well.
 
-A packet belongs to the sequence when its IPOC is one cycle after the newest one, or further and as much time has passed. Anything
-else (an IPOC ahead of its time, an old one again) changes nothing: it is not answered, and forgotten as soon as the sequence goes
-on. A new session, whose answers begin at zero, is believed only when the sequence has not gone on for a while and several packets
-in a row agree.
+A packet belongs to the sequence when its IPOC is later than the newest one and not ahead of its time. Anything else (an IPOC
+ahead of its time, an old one again) is not answered. It may be somebody else's, and then the packet answered before it too: the
+offset stands until packets of the sequence come alone again.
+
+A new session begins at zero. That is right only where the controller has stopped, so it takes evidence of that: Delay that has
+counted fewer cycles than went by, or packets of another sequence (its clock was set anew) that begin after more cycles without
+any answer than its time-out allows. Without that there is no answer: what the controller holds stays, until it stops by itself.
+Who sends packets from the controller's own socket while none of the controller's come can't be told from it.
 
 Every cycle is answered, but for two cases in which any answer could make the robot jump: RSI ran before this process did, or
 packets were missing for so long that RSI may have been stopped and started, and Delay does not say which.
@@ -21,30 +25,27 @@ packets were missing for so long that RSI may have been stopped and started, and
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 from .answers import Action, Answer
+from .arrivals import EARLY, Arrivals, cycles_between
 from .complaints import Complaints
 from .delay_count import LAG, DelayCount
 
 RESTART = 150  # cycles; the controller, with its time-out of 100, has stopped RSI for sure. IPOC this far back: no late packet
 SHORTEST_PAUSE = 10  # cycles between two sessions; no controller stops RSI and starts it again within that
-EARLY = 2.0  # cycles by which an IPOC may be ahead of its time: the packet before it was held up on the way
 CONFIRM = 3  # packets in a row that must agree before a new session begins at zero while the controller may hold something
-NEW_CLOCK = 10  # packets in a row of another sequence, and cycles without one of the old: the controller's clock was set anew
-KEPT_ARRIVALS = 64
-IPOC_WRAP = 1 << 32  # ms
+NEW_CLOCK = 10  # packets of another sequence, one a cycle and none of anybody else: the controller's clock was set anew
 
 
 @dataclass
 class _Other:
-    """Packets that are not of the sequence: the last IPOC, how many in step led to it, Delay and time of the first, s."""
+    """Packets that are not of the sequence: the last IPOC, how many in step led to it, time, s, and Delay of the first."""
 
     ipoc: int
     count: int
-    first_delay: int | None
     since: float
+    first_delay: int | None
 
 
 class Sequence:
@@ -65,6 +66,8 @@ class Sequence:
         self.lost = self.duplicate = self.out_of_sequence = self.not_taken = self.sessions = 0
         self._delays, self._complaints = DelayCount(), Complaints(cycle_ms)
         self._clean = 0  # packets in a row
+        self._now = 0.0  # of the packet that is judged, s
+        self._answered_at: float | None = None  # s, of the last answer to anybody, or of the first packet
         self._forget_packets()
 
     def _forget_packets(self) -> None:
@@ -75,8 +78,9 @@ class Sequence:
         self._doubt = False  # it is not known what the controller holds
         self._holding = False
         self._starting: tuple[int, float] | None = None  # packets that say that a session is new, and the time of the first
+        self._going_on: tuple[int, float] | None = None  # and those that say that it is the one of the last answer
         self._other: _Other | None = None
-        self._arrivals: deque[tuple[int, float]] = deque(maxlen=KEPT_ARRIVALS)  # IPOC and time, one per half a cycle at most
+        self._arrivals = Arrivals(self._cycle_ms)
 
     @property
     def in_session(self) -> bool:
@@ -103,27 +107,44 @@ class Sequence:
             now: steady time of its arrival, s.
             is_fresh: the socket that it comes from was silent before for RESTART cycles or more.
         """
+        self._now = now
+        if self._answered_at is None:
+            self._answered_at = now
         if self.newest is None:
             self._follow(ipoc, delay, now, None)
             return self._first(delay, is_fresh, now)
         steps = self._steps(self.newest, ipoc)
-        if steps == 1 or (steps > 1 and now - self._newest_at >= (steps - EARLY) * self._cycle):
+        if not self._is_of_other(ipoc, now) and self._belongs(ipoc, delay, now, steps):
             return self._in_sequence(ipoc, delay, now, steps)
+        self._disturbed()
         self._complaints.pace(ipoc == self.newest)
         if not self._doubt:
             self.problem = self._complaint()
-        if steps == 0:
+        if steps == 0 and not self._is_of_other(ipoc, now):
             self.duplicate += 1
             return Action.SILENT
         return self._out_of_sequence(ipoc, delay, now, steps)
 
+    def _disturbed(self) -> None:
+        """Somebody's packets are not of the sequence: nothing moves, and what seemed sure has to be said again."""
+        self._holding, self._clean, self._going_on = True, 0, None
+        self._delays.forget_last()
+        if self._doubt:
+            self._starting = None
+
     def gave(self, ipoc: int, delay: int | None, answer: Answer) -> None:
         """Such an answer was sent to such a packet."""
-        self._answered = ipoc, delay
+        self._answered, self._answered_at = (ipoc, delay), self._now
         if answer is not self.sent:
             self.before, self.sent = self.sent, answer
 
     # -- packets of the sequence ---------------------------------------------------------------------------------------
+
+    def _belongs(self, ipoc: int, delay: int | None, now: float, steps: int) -> bool:
+        """Whether a packet is one of the sequence: later than the newest, in its time, and with a Delay that can be."""
+        if steps < 1 or (steps > 1 and now - self._newest_at < (steps - EARLY) * self._cycle):
+            return False
+        return not self._arrivals.are_behind(ipoc, now) and self._delays.may_follow(self._delay, delay, steps)
 
     def _in_sequence(self, ipoc: int, delay: int | None, now: float, steps: int) -> Action:
         was_silent = now - self._newest_at > RESTART * self._cycle
@@ -134,7 +155,7 @@ class Sequence:
         if steps >= RESTART or (was_silent and steps > SHORTEST_PAUSE):
             return self._after_silence(ipoc, delay, now)
         self.lost += steps - 1
-        self._doubt = self._doubt or self._answered is None or steps > SHORTEST_PAUSE
+        self._doubt = self._doubt or self._answered is None or steps > SHORTEST_PAUSE - EARLY
         if self._doubt:
             return self._in_doubt(ipoc, delay, now)
         return self._in_session(delay, steps - 1, rose)
@@ -142,8 +163,7 @@ class Sequence:
     def _follow(self, ipoc: int, delay: int | None, now: float, steps: int | None) -> bool:
         """Take a packet as the newest; whether Delay has risen since the one before. Learns how Delay counts."""
         last, self.newest, self._newest_at, self._delay, self._other = self._delay, ipoc, now, delay, None
-        if not self._arrivals or now - self._arrivals[-1][1] >= 0.5 * self._cycle:
-            self._arrivals.append((ipoc, now))
+        self._arrivals.add(ipoc, now)
         if steps is None:
             return False
         self._complaints.pace(steps == 1)
@@ -174,46 +194,57 @@ class Sequence:
 
     # -- packets that are not of the sequence --------------------------------------------------------------------------
 
+    def _is_of_other(self, ipoc: int, now: float) -> bool:
+        """Whether a packet goes on with another sequence than the one answered, which alone came for some cycles."""
+        o = self._other
+        return (
+            o is not None
+            and o.count >= CONFIRM
+            and self._steps(o.ipoc, ipoc) == 1
+            and now - o.since >= (CONFIRM - 0.5) * self._cycle
+        )
+
     def _out_of_sequence(self, ipoc: int, delay: int | None, now: float, steps: int) -> Action:
         """An IPOC of the past, or ahead of its time. See the head of this file."""
-        if steps < 0:
+        if steps <= 0:
             self.duplicate += 1
-            if self._was_overrun(ipoc, now):
+            if self.newest is not None and self._arrivals.were_overrun(ipoc, now, self.newest, self._newest_at):
                 return self._resume(ipoc, delay, now)
         else:
             self.out_of_sequence += 1
         last = self._other
-        if last is not None and self._steps(last.ipoc, ipoc) == 1:
-            last.ipoc, last.count = ipoc, last.count + 1
+        further = 0 if last is None else self._steps(last.ipoc, ipoc)
+        if last is not None and 1 <= further <= SHORTEST_PAUSE:
+            last.ipoc, last.count = ipoc, last.count + 1 if further == 1 else 1
         else:
-            self._other = last = _Other(ipoc, 1, delay, now)
-        if 0 < steps <= SHORTEST_PAUSE and last.count >= CONFIRM:  # a cell that runs faster than its time has lost a packet
+            self._other = last = _Other(ipoc, 1, now, delay)
+        lasted = (now - last.since) / self._cycle
+        if 0 < steps <= SHORTEST_PAUSE and last.count >= CONFIRM and lasted >= CONFIRM - 1.5:
+            self._arrivals.clear()  # a cell that runs faster than its time has lost a packet
             return self._in_sequence(ipoc, delay, now, steps)
-        if (
-            last.count < NEW_CLOCK
-            or now - self._newest_at < NEW_CLOCK * self._cycle
-            or self._delays.is_replay(last.first_delay, delay, last.count)
-        ):
+        if last.count < NEW_CLOCK or lasted < NEW_CLOCK - 1 - EARLY:
+            return Action.SILENT
+        return self._new_clock(ipoc, delay, now, last)
+
+    def _new_clock(self, ipoc: int, delay: int | None, now: float, other: _Other) -> Action:
+        """Only packets of another sequence come: has the controller stopped before it, or do time and Delay go on?"""
+        answered_at = now if self._answered_at is None else self._answered_at
+        cycles = round((now - answered_at) / self._cycle)
+        then = None if self._answered is None else self._answered[1]
+        self._delays.follow(other.first_delay, delay, other.count - 1)
+        if self._delays.same_session(then, delay, cycles) is None and other.since - answered_at < RESTART * self._cycle:
+            self.problem = (
+                "the controller's clock (IPOC) is another one, with no pause before it in which RSI has stopped for sure: it may "
+                "hold a correction, so it gets no answer until it has stopped; then start RSI again"
+            )
             return Action.SILENT
         self._follow(ipoc, delay, now, None)
-        if steps < 0:
-            return self._start()
-        self._starting = last.count, last.since  # so many have agreed already
+        if self._answered is not None:  # by the new clock
+            self._answered = ipoc - cycles * self._cycle_ms, then
         return self._after_silence(ipoc, delay, now)
 
-    def _was_overrun(self, ipoc: int, now: float) -> bool:
-        """Whether an earlier IPOC is in its time and the newest one was ahead of it: the newest came from somebody else."""
-        for then, at in reversed(self._arrivals):
-            steps = self._steps(then, ipoc)
-            if steps >= 1 and self.newest is not None:
-                in_time = abs((now - at) / self._cycle - steps) <= EARLY + 0.5 * steps
-                ahead = self._steps(then, self.newest) - (self._newest_at - at) / self._cycle
-                return in_time and ahead > EARLY
-        return False
-
     def _resume(self, ipoc: int, delay: int | None, now: float) -> Action:
-        while self._arrivals and self._steps(self._arrivals[-1][0], ipoc) <= 0:
-            self._arrivals.pop()
+        self._arrivals.back_to(ipoc)
         self._follow(ipoc, delay, now, None)
         if self._doubt or self._answered is None:
             return Action.SILENT
@@ -237,8 +268,7 @@ class Sequence:
         if self._answered is not None:
             same = self._is_same_session(*self._answered, ipoc, delay)
             if same:
-                self._starting = None
-                return self._hold(False)  # its time-out is longer
+                return self._hold_when_sure(now)  # its time-out is longer
             if same is None and self._delays.rises and delay:
                 self._doubt, self._starting = True, None
                 return self._in_doubt(ipoc, delay, now)
@@ -255,30 +285,37 @@ class Sequence:
                     "rsi-config writes one)"
                 )
             return Action.SILENT
-        if not same:
-            return self._start_when_sure(now)
-        self._doubt = False
-        return self._hold(False)
+        return self._hold_when_sure(now) if same else self._start_when_sure(now)
 
     def _while_starting(self, ipoc: int, delay: int | None, now: float) -> Action:
         if self._answered is not None and self._is_same_session(*self._answered, ipoc, delay):
-            self._starting, self._doubt = None, False
-            return self._hold(False)
+            return self._hold_when_sure(now)
         return self._start_when_sure(now)
+
+    def _hold_when_sure(self, now: float) -> Action:
+        """Go on in the session of the last answer, after CONFIRM packets that agree."""
+        self._starting, self._doubt = None, True
+        self._going_on = _one_more(self._going_on, now)
+        if not self._is_sure(self._going_on, now):
+            return Action.SILENT
+        self._going_on, self._doubt = None, False
+        return self._hold(False)
 
     def _start_when_sure(self, now: float) -> Action:
         """Begin at once where that is no step, otherwise after CONFIRM packets that agree."""
-        count, since = self._starting or (0, now)
-        self._starting = count, since = count + 1, since
-        if self.sent.text == self._zero.text or (count >= CONFIRM and now - since >= (CONFIRM - 1.5) * self._cycle):
+        self._going_on, self._starting = None, _one_more(self._starting, now)
+        if self.sent.text == self._zero.text or self._is_sure(self._starting, now):
             return self._start()
         self._doubt = True
         return Action.SILENT
 
+    def _is_sure(self, agreed: tuple[int, float], now: float) -> bool:
+        return agreed[0] >= CONFIRM and now - agreed[1] >= (CONFIRM - 1.5) * self._cycle
+
     def _start(self) -> Action:
         self.sent = self.before = self._zero
         self._doubt = self._holding = False
-        self._starting = None
+        self._starting = self._going_on = None
         self._clean = self._complaints.wrong = 0
         self.problem = self._complaint()
         self.sessions += 1
@@ -293,7 +330,9 @@ class Sequence:
 
     def _steps(self, before: int, after: int) -> int:
         """Cycles from one IPOC to another."""
-        difference = after - before
-        if difference < -IPOC_WRAP // 2:
-            difference += IPOC_WRAP
-        return round(difference / self._cycle_ms)
+        return cycles_between(before, after, self._cycle_ms)
+
+
+def _one_more(agreed: tuple[int, float] | None, now: float) -> tuple[int, float]:
+    """One more packet that agrees: how many there are, and the time of the first, s."""
+    return (1, now) if agreed is None else (agreed[0] + 1, agreed[1])

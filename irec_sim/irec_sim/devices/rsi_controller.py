@@ -154,7 +154,8 @@ class RsiController:
         self._underway: bytes | None = None  # an answer that arrives in the next cycle
 
     def start_again(self, pause: int = 50) -> None:
-        """RSI off, and on again `pause` cycles later: no correction acts."""
+        """RSI off, and on again after `pause` cycles, which are waited for: no correction acts."""
+        time.sleep(pause * self.period)
         self.ipoc += pause * round(self.period * 1000)
         self.correction = Correction(np.zeros(3), np.zeros(3))
         self.stopped, self.counts.late_in_a_row = "", 0
