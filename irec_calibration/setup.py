@@ -28,7 +28,8 @@ setup(
     ],
     extras_require={'report': ['matplotlib>=3.8', 'jinja2>=3.1'], 'ml': ['scikit-learn>=1.5'], 'mesh': ['trimesh>=4.4'],
                     'step': ['cascadio>=0.1.1', 'trimesh>=4.4'],
-                    'workbench': ['nicegui>=3.4,<4', 'plotly>=5.20'], 'completion': ['argcomplete>=3.3']},
+                    'workbench': ['nicegui>=3.4,<4', 'plotly>=5.20'], 'completion': ['argcomplete>=3.3'],
+                    'test': ['pytest>=7.4', 'hypothesis>=6.98', 'pytest-timeout>=2.2']},  # by which colcon test knows pytest
     zip_safe=False,
     entry_points={
         "console_scripts": [

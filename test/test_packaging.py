@@ -18,6 +18,12 @@ PACKAGES = ("irec_calibration", "irec_correction", "irec_sim")
 ROS_MODULES = re.compile(r"^(rclpy|irec_ros|launch|launch_ros|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|ament_index_python)$")
 # distribution -> import name, where they differ
 SHARED = "irec_ros"  # Python that irec_msgs installs
+# distribution -> key of rosdep (rosdep/python.yaml and jazzy/distribution.yaml of ros/rosdistro)
+ROSDEP = {
+    "numpy": "python3-numpy", "scipy": "python3-scipy", "PyYAML": "python3-yaml", "jsonschema": "python3-jsonschema",
+    "python-can": "python3-can", "pin": "pinocchio", "mcap": "mcap-ros2-support", "lz4": "mcap-ros2-support",
+    "zstandard": "mcap-ros2-support",
+}  # fmt: skip
 PYPI = {"pin": "pinocchio", "PyYAML": "yaml", "mcap-ros2-support": "mcap_ros2", "python-can": "can", "scikit-learn": "sklearn"}
 
 
@@ -74,6 +80,24 @@ def test_what_the_nodes_share_imports_no_other_package_of_the_project_and_is_dec
     used = {m for p in (ROOT / "irec_msgs" / SHARED).glob("*.py") for m in imports(p)} - set(sys.stdlib_module_names)
     tree = ElementTree.parse(ROOT / "irec_msgs" / "package.xml").getroot()
     assert used - {"__future__", "irec_msgs"} <= {e.text for e in tree if e.tag in ("depend", "exec_depend")}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_rosdep_brings_all_that_pip_would(package):
+    setup = (ROOT / package / "setup.py").read_text()
+    needed = re.findall(r"[\"']([A-Za-z][\w-]*)(?:>=[^\"']*)?[\"']", re.search(r"install_requires=\[(.*?)\]", setup, re.S)[1])
+    assert "numpy" in needed
+    tree = ElementTree.parse(ROOT / package / "package.xml").getroot()
+    asked_for = {e.text for e in tree if e.tag == "exec_depend"}
+    assert not {ROSDEP.get(name, name) for name in needed} - asked_for
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_colcon_test_knows_that_the_tests_are_those_of_pytest(package):
+    assert re.search(r"'test': \['pytest>=", (ROOT / package / "setup.py").read_text()), "colcon test would run no test"
+    tree = ElementTree.parse(ROOT / package / "package.xml").getroot()
+    wanted = {"python3-pytest", "python3-pytest-timeout", "python3-hypothesis"}
+    assert wanted <= {e.text for e in tree if e.tag == "test_depend"}
 
 
 @pytest.mark.parametrize("package", (*PACKAGES, "irec_msgs"))
