@@ -13,6 +13,7 @@ from ..typing import Array, IntArray
 from .study import Study
 
 DEGREE = 3  # of a curve over one variable
+TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment over which a play is taken up
 TYPICAL_DISPLACEMENT = 3e-5  # m; what a coefficient of 1 moves; the amplitude itself is inferred
 
 
@@ -136,9 +137,12 @@ def two_variables(study: Study) -> Iterator[Direction]:
             k,
         )
         both = np.stack([t[:, k] ** 2, t[:, k] * np.abs(t[:, k]), t[:, k] ** 3], axis=1)
-        shape = np.column_stack([both, both * curve(q[:, k], q[rows, k], 1)])
+        with_angle = both * curve(q[:, k], q[rows, k], 1)
+        shape = np.column_stack([both, with_angle])
         names = (f"tau_{k + 1}", f"joint_{k + 1}")
-        yield Direction(f"nonlinear in the torque of axis {k + 1} and its angle", names, own * shape[:, None, :], k)
+        words = f"nonlinear in the torque of axis {k + 1} and its angle"
+        yield Direction(words, names, own * shape[:, None, :], k, law_of=k)  # half of it is a law of the torque alone
+        yield Direction(f"{words}, as far as the angle matters", names, own * with_angle[:, None, :], k)
         total = tau[:, k] + (scene.tau_gravity[:, k] if scene.kind == "loaded" else 0.0)
         yield Direction(
             f"nonlinear in the whole torque of axis {k + 1}, gravity included",
@@ -167,6 +171,27 @@ def two_variables(study: Study) -> Iterator[Direction]:
                     own * product[:, None, :],
                     k,
                 )
+
+
+def tilts(study: Study) -> Iterator[Direction]:
+    """A link that tilts across its axis by any curve of the moment about that direction: what a worn bearing does, for one."""
+    scene, rows = study.ready, study.observation.rows
+    on = ((scene.load_case > 0) if scene.kind == "loaded" else np.ones(len(scene), dtype=bool))[:, None, None].astype(float)
+    across, moment = _scaled(scene.V, rows), scene.load_torque_virtual()
+    whole = moment + (scene.gravity.tau_virtual if scene.kind == "loaded" else 0.0)
+    for i in range(moment.shape[1]):
+        largest = float(np.abs(moment[rows, i]).max())
+        if largest <= 1e-6:
+            continue
+        k, t = i // 2, moment[:, i] / largest
+        own, names = across[:, :, i : i + 1], ("load_case", f"tau_{k + 1}")
+        shape = np.stack([t**2, t * np.abs(t), t**3, np.tanh(5.0 * t)], axis=1)
+        yield Direction(f"tilting the link of axis {k + 1} across it, by its moment", names, own * on * shape[:, None, :])
+        w = whole[:, i] / max(float(np.abs(whole[rows, i]).max()), 1e-9)
+        taken_up = [np.tanh(w / share) for share in TAKEN_UP]
+        shape = np.column_stack([*taken_up, w**2, w**3])
+        words = f"tilting the link of axis {k + 1} across it, by its whole moment, gravity included"
+        yield Direction(words, names, own * shape[:, None, :])
 
 
 def plain(study: Study) -> Iterator[Direction]:

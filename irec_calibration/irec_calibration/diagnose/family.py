@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from ..typing import Array, BoolArray
-from .directions import TYPICAL_DISPLACEMENT, drifts, plain, shaped, two_variables
+from .directions import TYPICAL_DISPLACEMENT, drifts, plain, shaped, tilts, two_variables
 from .evidence import Block, Ground
 from .study import Study
 
@@ -122,7 +122,7 @@ def family_of(study: Study) -> Family:
     structures: list[Structure] = []
     columns: list[Array] = []
     at = 0
-    kinds = [list(f(study)) for f in (plain, drifts, two_variables, shaped)]
+    kinds = [list(f(study)) for f in (plain, drifts, two_variables, tilts, shaped)]
     for kind in kinds:
         if not kind:
             continue

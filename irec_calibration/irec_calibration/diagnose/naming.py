@@ -13,6 +13,7 @@ from ..typing import Array
 from .evidence import Ground
 from .explanation import Explanation, everywhere, implausible, in_one_pose, remainder_of, without
 from .family import Family
+from .form_errors import evidence_beside
 from .forms import NO_FORMS, Forms, forms_of
 from .held_out import held_out, only_good_poses
 from .lasting import lasts
@@ -106,11 +107,17 @@ def proven(start: Explanation, one: Explanation, family: Family, settings: Setti
         evidence = {i: odds_of(one, b, i, family, settings) for i, b in bare.items()}
         share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
         least = {i: needed(one, i, settings) + (0.0 if everywhere(one, i) else left[i]) for i in one.ids}
-        weak = [i for i in one.ids if evidence[i] < least[i] or share[i] < settings.share_to_name]
+        weak = [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
         if not weak:
             return one, evidence
         one = bare[min(weak, key=lambda i: evidence[i])]
     return one, {}
+
+
+def _beside_larger(one: Explanation, effect_id: str, share: dict[str, float], settings: Settings) -> float:
+    """Evidence of an effect beside much larger ones whose form is known only roughly; inf where none is."""
+    larger = [i for i in one.ids if share[effect_id] < settings.share_to_name * share[i]]
+    return evidence_beside(one, effect_id, larger, settings) if larger else np.inf
 
 
 def needed(one: Explanation, effect_id: str, settings: Settings) -> float:

@@ -98,8 +98,14 @@ class Settings(Thresholds):
         15.0, "nats", "effects this much worse than the best are not fitted exactly", "three times what is told apart",
     )  # fmt: skip
     share_to_name: float = threshold(
-        0.02, "share of squares", "of everything explained that a name must bring by itself",
+        0.02, "share of squares",
+        "of what another name explains, below which a name must stand beside any deviation of that one's form",
         "an effect whose form is not quite right leaves 1 % of its square to be explained by another",
+    )  # fmt: skip
+    form_error: float = threshold(
+        0.1, "share of displacement",
+        "by which an effect may deviate from its form along any smooth function of a session's variables",
+        "1 % of its square",
     )  # fmt: skip
     nats_per_bad_row: float = threshold(
         1.0, "nats", "more evidence that a name needs for each row, reference or pose that stands out",
