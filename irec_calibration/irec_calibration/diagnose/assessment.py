@@ -39,7 +39,8 @@ class Assessment:
     Attributes:
         names: effects that every good explanation needs, most important first; one_of: sets of which one is needed.
         study: the model with the added effects, cut down to the parts that they need; remainder: what is left beside it.
-        evidence: what shows the structure that has no name: `repeats`, `held_out_structure`, `flexible_regression`.
+        evidence: what shows the structure that has no name: `repeats`, `held_out_structure`, `flexible_regression`,
+            `readings_that_stand_out`.
         remaining_m: size of that structure, RMS over samples, m.
         hidden_m: how large a cause outside the catalogue could be and not be seen, m.
         explained: share of the explainable excess that the added effects explain.
@@ -109,6 +110,8 @@ def assess(
         evidence.append("held_out_structure")
     if flexible.significant:
         evidence.append("flexible_regression")
+    if _put_aside(study, rest) > settings.most_put_aside:
+        evidence.append("readings_that_stand_out")
     one_of, names = [], []
     for i in final.ids:
         rivals = built.rivals.get(i, ())
@@ -126,6 +129,8 @@ def assess(
     remaining = _size(study, known, ground) if evidence and rest.structures else 0.0
     if "repeats" in evidence:  # they know what is missing, whether or not a structure describes it
         remaining = max(remaining, _beside_repeats(study, bare))
+    if "readings_that_stand_out" in evidence:
+        remaining = max(remaining, float(np.sqrt(max(rms(_residual(study, study.base)) ** 2 - noise.inferred_m**2, 0.0))))
     if evidence and remaining == 0.0:
         remaining = flexible.gain_m
     chi2 = [s.bench.posterior(s.base).chi2 for s in (start.study, study)]
@@ -200,6 +205,13 @@ def _size(study: Study, known: Block, ground: Ground) -> float:
     with_it = study.observation.whiten.undo(ground.residual.reshape(-1, 3))
     alone = _residual(study, known)
     return rms(alone - with_it)
+
+
+def _put_aside(study: Study, rest: Remainder) -> float:
+    """Share of all readings that count for nothing because they stand out; the reference of a pose is one of them."""
+    references = study.ready.reference[study.observation.rows]
+    readings = len(references) + len(np.unique(references[references >= 0]))
+    return sum(p.structure.columns.stop - p.structure.columns.start for p in rest.bad_rows) / (3.0 * max(readings, 1))
 
 
 def _beside_repeats(study: Study, repeats: Repeats) -> float:

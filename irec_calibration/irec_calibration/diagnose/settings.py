@@ -111,6 +111,10 @@ class Settings(Thresholds):
         1.0, "nats", "more evidence that a name needs for each row, reference or pose that stands out",
         "where rows stand out, tails are heavy, and evidence that counts on normal noise is too large",
     )  # fmt: skip
+    most_put_aside: float = threshold(
+        0.1, "share of readings", "that stand out and count for nothing, above which something systematic is behind them",
+        "heavy tails of trackers put one reading in twelve aside at most",
+    )  # fmt: skip
     share_of_form: float = threshold(
         0.03, "share of evidence", "of the nonparametric structures that a name replaces, that it must bring more than they do",
         "polynomials of the generic family lose that much where they stand for a cause of another form",

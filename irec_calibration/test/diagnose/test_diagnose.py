@@ -54,6 +54,14 @@ def piecewise_gear_of_axis_3(scene: Scene) -> Array:
     return turned(scene, angle)
 
 
+def play_in_the_bearing_of_axis_5(scene: Scene) -> Array:
+    """The link tilts across axis 5, to the side on which the moment lies, gravity included."""
+    across = scene.kin.virtual_axis[:, 4, 1]
+    moment = scene.tau_virtual[:, 9] + scene.gravity.tau_virtual[:, 9]
+    lever = scene.p_observed - scene.kin.origin[:, 4]
+    return np.cross(across, lever) * (3e-4 * np.clip(moment / 10.0, -1.0, 1.0))[:, None]
+
+
 def softer_as_time_passes(scene: Scene) -> Array:
     angle = np.zeros_like(scene.tau)
     angle[:, 1] = 1.2e-7 * scene.tau[:, 1] * (scene.stamp / scene.stamp.max() - 0.5)
@@ -123,6 +131,21 @@ def test_a_cause_outside_the_catalogue_is_unexplained_and_its_variable_is_named(
     assert "stamp" in verdict.depends_on
 
 
+def test_play_in_a_bearing_is_not_taken_for_play_in_a_gear() -> None:
+    verdict = diagnosis(play_in_the_bearing_of_axis_5).verdict
+    assert verdict.status == "unexplained", verdict.text
+    assert verdict.effects == ()
+
+
+@pytest.mark.slow
+def test_a_small_cause_is_named_beside_a_much_larger_one() -> None:
+    def both(scene: Scene) -> Array:
+        return 6.0 * play_of_axis_4(scene) + piecewise_gear_of_axis_3(scene)
+
+    verdict = diagnose(synthetic.session(poses=POSES, seed=5, extra=both)).verdict
+    assert set(verdict.effects) == {"joint_backlash", "joint_stiffening"}, verdict.text
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [0.5, 2.0])
 def test_noise_that_is_stated_wrongly_changes_no_verdict_and_is_said(times: float) -> None:
@@ -141,6 +164,15 @@ def test_one_row_that_is_plainly_wrong_is_listed_and_is_no_cause() -> None:
     verdict = diagnose(replace(clean, p_marker_in_station=marker)).verdict
     assert verdict.status == "adequate", verdict.text
     assert f"pose {clean.pose[40]}" in verdict.text
+
+
+def test_a_session_of_which_a_fifth_stands_out_is_not_adequate() -> None:
+    clean = session()
+    rng = np.random.default_rng(3)
+    marker = clean.p_marker_in_station + rng.normal(0.0, 4e-4, (len(clean), 3)) * np.isin(clean.pose, (3, 8, 12, 17))[:, None]
+    verdict = diagnose(replace(clean, p_marker_in_station=marker)).verdict
+    assert (verdict.status, verdict.effects) == ("unexplained", ()), verdict.text
+    assert verdict.evidence == ("readings_that_stand_out",)
 
 
 @pytest.mark.slow
