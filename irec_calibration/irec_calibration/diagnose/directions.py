@@ -23,7 +23,7 @@ class Direction:
 
     Attributes:
         words: along what; variables: what they depend on already; columns: (n, 3, d), m; axis: the one that they turn, if one;
-            law_of, by_step, is_drift: see `Structure`.
+            law_of, is_tilt, by_step, is_drift: see `Structure`.
     """
 
     words: str
@@ -31,6 +31,7 @@ class Direction:
     columns: Array
     axis: int | None = None
     law_of: int | None = None
+    is_tilt: bool = False
     by_step: bool = False
     is_drift: bool = False
 
@@ -186,12 +187,13 @@ def tilts(study: Study) -> Iterator[Direction]:
         k, t = i // 2, moment[:, i] / largest
         own, names = across[:, :, i : i + 1], ("load_case", f"tau_{k + 1}")
         shape = np.stack([t**2, t * np.abs(t), t**3, np.tanh(5.0 * t)], axis=1)
-        yield Direction(f"tilting the link of axis {k + 1} across it, by its moment", names, own * on * shape[:, None, :])
+        words = f"tilting the link of axis {k + 1} across it, by its moment"
+        yield Direction(words, names, own * on * shape[:, None, :], is_tilt=True)
         w = whole[:, i] / max(float(np.abs(whole[rows, i]).max()), 1e-9)
         taken_up = [np.tanh(w / share) for share in TAKEN_UP]
         shape = np.column_stack([*taken_up, w**2, w**3])
         words = f"tilting the link of axis {k + 1} across it, by its whole moment, gravity included"
-        yield Direction(words, names, own * shape[:, None, :])
+        yield Direction(words, names, own * shape[:, None, :], is_tilt=True)
 
 
 def plain(study: Study) -> Iterator[Direction]:

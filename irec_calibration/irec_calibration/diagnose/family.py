@@ -36,6 +36,7 @@ class Structure:
         tried: how many of its kind there are.
         axis: the only axis that it turns, counted from 0; None: it does something else.
         law_of: the axis whose law of torque it is, whatever the law's form: what effects of that family are special forms of.
+        is_tilt: a link tilts across its axis: seldom, and hardly told from a law of an axis that is parallel to that.
         by_step: it turns the axis by the step just made, whatever the law: what effects of history are special forms of.
         is_drift: it follows time or a temperature whatever the force, wherever it acts: what a drift may also be.
         is_bad_row: it moves a single row, a single reference or a single pose: a bad reading, not a cause; rows: of the session.
@@ -47,6 +48,7 @@ class Structure:
     tried: int
     axis: int | None = None
     law_of: int | None = None
+    is_tilt: bool = False
     is_bad_row: bool = False
     rows: tuple[int, ...] = ()
     by_step: bool = False
@@ -136,7 +138,8 @@ def family_of(study: Study) -> Family:
                 place = slice(at, at + own.shape[1])
                 structures.append(
                     Structure(
-                        d.variables, d.words, place, len(kind), d.axis, d.law_of, by_step=d.by_step, is_drift=d.is_drift
+                        d.variables, d.words, place, len(kind), d.axis, d.law_of, d.is_tilt, by_step=d.by_step,
+                        is_drift=d.is_drift,
                     )
                 )  # fmt: skip
                 columns.append(own)

@@ -17,17 +17,20 @@ class Forms:
     """Which structures.
 
     Attributes:
-        axes: general laws of the torque of these axes; drifts: what follows time or a temperature whatever the force.
+        axes: general laws of the torque of these axes; tilts: links that tilt across their axis; drifts: what follows time or a
+            temperature whatever the force.
     """
 
     axes: frozenset[int] = frozenset()
     drifts: bool = False
+    tilts: bool = False
 
     def __bool__(self) -> bool:
-        return bool(self.axes) or self.drifts
+        return bool(self.axes) or self.drifts or self.tilts
 
     def has(self, structure: Structure) -> bool:
-        return (structure.law_of is not None and structure.law_of in self.axes) or (self.drifts and structure.is_drift)
+        law = structure.law_of is not None and structure.law_of in self.axes
+        return law or (self.drifts and structure.is_drift) or (self.tilts and structure.is_tilt)
 
 
 NO_FORMS = Forms()

@@ -6,8 +6,11 @@ Asked when an effect comes in, again of all others when one has come, and of the
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from ..effects.traits import Family as Alike
 from ..identification.validation import gain
 from ..typing import Array
 from .evidence import Ground
@@ -52,8 +55,9 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
     An effect that every robot has needs evidence of its own; against structures it may be as weak as what is not told apart.
 
     The general law of an axis' torque is no rival of an effect that is a form of it: it stays out on both sides. So does a drift
-    of another form, unless it explains more than what is not told apart. A curve of few coefficients has a cause's form only
-    nearly: a share of what the nonparametric structures explain counts for them.
+    of another form, and a link that tilts instead of an axis that turns, unless it explains more than what is not told apart.
+    A curve of few coefficients has a cause's form only nearly: a share of what the nonparametric structures explain counts for
+    them.
     """
     forms = forms_of(one.term(effect_id), one.study.ready)
 
@@ -65,13 +69,17 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
         return rest.gained, remainder_of(one.study, family, one.remainder.parts, forms).gained
 
     own = one.named - bare.named
-    in_place, left = beside(forms)
+    law = one.term(effect_id).effect.family is Alike.TORQUE_LAW
+    in_place, left = beside(replace(forms, tilts=law))
     odds = own + left - in_place
     may_be_as_weak = settings.nats_to_separate + settings.nats_to_name
     if everywhere(one, effect_id):
         # to be there it needs no more than to explain as well as what has no name (nothing that is not told apart from it speaks
         # against it); to be of a size that shows, evidence of its own
         return min(odds + may_be_as_weak, own)
+    if law:  # gears have laws of their own far more often than bearings: without any tilt it may be as weak, else it needs it all
+        instead, more = beside(forms)
+        odds = min(odds, own - instead + max(left + may_be_as_weak, more))
     if forms.drifts:
         instead, more = beside(NO_FORMS)
         # another cause whose form is not quite right leaves a drift too, told from this one by nothing: twice the evidence
