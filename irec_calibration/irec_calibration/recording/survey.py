@@ -12,12 +12,14 @@ import numpy as np
 
 from ..errors import RecordingError
 from ..typing import Array
+from .frames import FRAMES, frame_of, misplaced
 from .read import BagReader, RawMessage, Topic
 
 GAP_FACTOR = 3.0  # an interval this many times the usual one is a gap
 BURST_FACTOR = 5.0  # a mean interval this many times the median one means that messages come in bursts
 SAME_CLOCK = 3600.0  # s; stamps further from the log time than this come from another clock
 _LARGEST_GAPS = 5
+MOST_FRAMES = 4  # of one topic that are told
 # Hz, by message type: below the first a window of the procedure (0.4 s) has too few readings; the second is what a driver
 # of the correction delivers
 NEEDED_RATES = {
@@ -100,6 +102,7 @@ class _Series:
     first: RawMessage
     log: list[int] = field(default_factory=list)
     stamp: list[int] = field(default_factory=list)
+    frames: set[str] = field(default_factory=set)
 
 
 def survey(bag: BagReader, progress: Callable[[int, int], None] | None = None) -> Survey:
@@ -112,6 +115,8 @@ def survey(bag: BagReader, progress: Callable[[int, int], None] | None = None) -
         entry.log.append(message.log_time)
         if entry.header_stamp:
             entry.stamp.append(_header_stamp(message.data) if len(message.data) >= 12 else message.log_time)
+            if message.topic.type_name in FRAMES and len(entry.frames) < MOST_FRAMES:
+                entry.frames.add(frame_of(message.data))
     start = min((entry.log[0] for entry in series.values()), default=0)
     end = max((max(entry.log) for entry in series.values()), default=0)
     expected = bag.expected or {}
@@ -121,6 +126,7 @@ def survey(bag: BagReader, progress: Callable[[int, int], None] | None = None) -
             absent = expected.get(name, 0)
             topics.append(TopicSurvey(name, topic.type_name, 0, False, 0.0, 0.0, (), 0, False, 0, 0, None, absent))
     present, lacking = _for_a_session(bag, series)
+    lacking += misplaced({name: (entry.topic.type_name, entry.frames) for name, entry in series.items()})
     lacking += _slow(topics)
     return Survey(
         path=str(bag.path),

@@ -12,9 +12,12 @@ import pytest
 import synthetic
 import yaml
 import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
 from irec_calibration.cli import main
 from irec_calibration.errors import RecordingError
 from irec_calibration.recording import BagReader, BagWriter, TypeCatalogue
+from irec_calibration.recording.frames import frame_of
 from irec_calibration.recording.survey import survey
 from irec_calibration.recording.unpack import check_definition
 
@@ -93,6 +96,23 @@ def test_rates_are_judged(bag):
     assert "rate: /points comes at 20.0 Hz" in lacking
     assert "/joints comes at" not in lacking
     assert "names its joints axis_a" in lacking
+
+
+def test_forces_in_another_frame_than_the_tool_are_told(bag, tmp_path):
+    lacking = "\n".join(survey(BagReader(bag)).lacking)
+    assert "frame: /ft is in 'base'; forces of the environment on the robot have to be in 'tool0'" in lacking
+    with BagWriter(tmp_path / "right" / "right_0.mcap", Foreign()) as writer:
+        raw, process = (writer.add_topic(f"/{name}", "geometry_msgs/msg/WrenchStamped") for name in ("wrench_raw", "wrench"))
+        for i in range(1000):
+            t = 100.0 + 0.004 * i
+            for channel, frame in ((raw, "ft_sensor"), (process, "tool0")):
+                writer.write(channel, padded(head(t, frame), 8) + struct.pack("<6d", *range(6)), round(t * 1e9))
+    assert not [item for item in survey(BagReader(tmp_path / "right")).lacking if item.startswith("frame:")]
+
+
+@given(st.binary(max_size=60))
+def test_whatever_a_message_holds_its_frame_is_text(data):
+    assert isinstance(frame_of(data), str)
 
 
 def test_a_session_is_made_of_a_foreign_recording(bag, tmp_path, capsys):
