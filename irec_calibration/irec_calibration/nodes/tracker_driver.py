@@ -2,7 +2,7 @@
 """Tracker driver of the contract for point streams over TCP or UDP, and for topics that are stamped late and in bursts.
 
     ros2 run irec_calibration tracker_driver --ros-args -p source:=tcp://192.168.0.1:700 -p format:=emscon -p station:=A
-    ... -p source:=udp://192.168.0.5:10000 -p format:=lines -p columns:=[time,x,y,z] -p unit:=mm -p station:=A
+    ... -p source:=udp://192.168.0.5:10000 -p format:=lines -p columns:=time,x,y,z -p unit:=mm -p station:=A
     ... -p source:=topic:leica/point -p period:=0.1 -p station:=A
 
 Reads only: nothing is sent to the tracker. The address of udp:// is this machine's on the tracker's network. The stamp of a point
@@ -37,7 +37,7 @@ EITHER = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 PARAMETERS = (
     P("source", "", "tcp://HOST:PORT (connects), udp://ADDRESS:PORT (listens at this own address), topic:NAME of PointStamped"),
     P("format", "lines", "of a socket's bytes: lines, or emscon (Leica)"),
-    P("columns", ["x", "y", "z"], "what stands where in a line: x, y, z, time, station, -"),
+    P("columns", "x,y,z", "what stands where in a line: x, y, z, time, station, -; separated by commas"),  # a list: y is true
     P("unit", "mm", f"of the coordinates of a socket: {', '.join(UNITS)}"),
     P("time_unit", "s", "of column time: s, ms, us"),
     P("station", "", "name of the station in the cell file; empty: as the stream names it"),
@@ -56,7 +56,8 @@ class TrackerDriver(GuardedNode):
         refuse_unknown_parameters(self)
         self._station = p["station"]
         self._kind, self._where = _source(p["source"])
-        if self._kind != "topic" and p["format"] == "lines" and not self._station and "station" not in p["columns"]:
+        self._columns = tuple(name.strip() for name in p["columns"].split(","))
+        if self._kind != "topic" and p["format"] == "lines" and not self._station and "station" not in self._columns:
             raise StreamError("parameter 'station' is empty, and no column of the lines names it")
         self._settings = p
         self._parser = self._new_parser()
@@ -81,7 +82,7 @@ class TrackerDriver(GuardedNode):
             return EmScon(p["unit"])
         if p["format"] != "lines":
             raise StreamError(f"parameter 'format' is '{p['format']}'; lines or emscon is needed")
-        return Lines(tuple(p["columns"]), p["unit"], p["time_unit"])
+        return Lines(self._columns, p["unit"], p["time_unit"])
 
     def close(self) -> None:
         """End the reading thread."""
