@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import log
 
-from ..effects import Evidence
+from ..effects import Axes, Evidence
 from ..model import Term
 from .candidates import Trial, supported
 from .family import Family
@@ -105,7 +105,7 @@ def without(start: Explanation, one: Explanation, effect_id: str, family: Family
 
 
 def implausible(one: Explanation, effect_id: str) -> str:
-    """The first value of an effect beyond what is physically likely, with its limit, in words; empty where there is none."""
+    """The first value of an effect that can't be, with its limit, in words; empty where there is none."""
     term = one.term(effect_id)
     for p in term.effect.parameters(one.study.ready):
         low, high = p.plausible_range
@@ -114,7 +114,9 @@ def implausible(one: Explanation, effect_id: str) -> str:
             limit = low if value < low else high
             unit = "" if p.unit == "1" else f" {p.unit}"
             return f"{p.name} = {value:.3g}{unit} is beyond what is physically likely ({limit:.3g}{unit})"
-    return ""
+    axial = (t for t in one.study.terms if t.effect.compliance_of is Axes.ACTUATED)
+    compliance = {name: e.value for t in axial for name, e in t.estimates.items()}
+    return term.effect.against_springs({name: (e.value, e.se) for name, e in term.estimates.items()}, compliance)
 
 
 def everywhere(one: Explanation, effect_id: str) -> bool:

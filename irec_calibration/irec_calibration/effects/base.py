@@ -12,6 +12,7 @@ then comes from differences. An effect that is linear in its parameters should g
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -149,6 +150,14 @@ class Effect(ABC):
     def log_odds(self, scene: Scene) -> float:
         """How much more likely (less: negative) the effect is than others before a session is seen, natural log."""
         return 0.0
+
+    def against_springs(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
+        """Why fitted values can't be beside the compliances of the axes in the same model, in words; empty where they can.
+
+        Args:
+            values: parameter -> value and standard error; compliance: `c_k` -> compliance of axis k, rad/(N m).
+        """
+        return ""
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         """Changes of the robot over the years that its parameters describe, for a robot like that of a scene."""

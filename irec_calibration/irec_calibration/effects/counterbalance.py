@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -40,6 +41,17 @@ class Counterbalance(Effect):
         axis_2 = scene.J[:, :, AXIS] * scene.load_torque()[:, None, AXIS]
         angle = scene.q[:, None, AXIS]
         return np.stack([axis_2 * np.sin(angle), axis_2 * np.cos(angle)], axis=2)
+
+    def against_springs(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
+        own = compliance.get(f"c_{AXIS + 1}")
+        (a, a_se), (b, b_se) = values.get("a", (0.0, 0.0)), values.get("b", (0.0, 0.0))
+        most = math.hypot(a, b)
+        if own is None or not most > own + 2.0 * math.hypot(a_se, b_se):
+            return ""
+        return (
+            f"it would change the compliance of axis {AXIS + 1} by up to {most:.3g} rad/(N m),"
+            f" and a balancer can't take more than the {own:.3g} that the axis has"
+        )
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Balancer(*theta) if len(theta) else LeftOut("has no axis to act on in this robot")

@@ -62,6 +62,12 @@ def play_in_the_bearing_of_axis_5(scene: Scene) -> Array:
     return np.cross(across, lever) * (3e-4 * np.clip(moment / 10.0, -1.0, 1.0))[:, None]
 
 
+def axis_2_softer_by_three_times_its_angle(scene: Scene) -> Array:
+    angle = np.zeros_like(scene.tau)
+    angle[:, 1] = 1.7e-7 * np.cos(3.0 * scene.q[:, 1]) * scene.tau[:, 1]
+    return turned(scene, angle)
+
+
 def softer_as_time_passes(scene: Scene) -> Array:
     angle = np.zeros_like(scene.tau)
     angle[:, 1] = 1.2e-7 * scene.tau[:, 1] * (scene.stamp / scene.stamp.max() - 0.5)
@@ -164,6 +170,13 @@ def test_one_row_that_is_plainly_wrong_is_listed_and_is_no_cause() -> None:
     verdict = diagnose(replace(clean, p_marker_in_station=marker)).verdict
     assert verdict.status == "adequate", verdict.text
     assert f"pose {clean.pose[40]}" in verdict.text
+
+
+def test_a_gear_whose_stiffness_goes_with_its_angle_is_no_counterbalance() -> None:
+    verdict = diagnosis(axis_2_softer_by_three_times_its_angle).verdict
+    assert "counterbalance" not in verdict.effects, verdict.text
+    assert verdict.status == "unexplained"
+    assert "joint_2" in verdict.depends_on
 
 
 def test_a_session_of_which_a_fifth_stands_out_is_not_adequate() -> None:

@@ -217,3 +217,13 @@ def test_springs_carry_what_creeps_of_them_along() -> None:
         column = regressors((torsion, crept), scene)[0][:, :, 2]
         by_difference = (total(springs | {"c_3": 3.3e-7}) - total(springs | {"c_3": 2.7e-7})) / 0.6e-7
         np.testing.assert_allclose(column, by_difference, atol=1e-6 * np.abs(column).max())
+
+
+def test_a_balancer_can_take_no_more_than_its_axis_has():
+    balancer = find_effect("counterbalance")
+    sure = {"a": (3e-7, 1e-8), "b": (4e-7, 1e-8)}
+    unsure = {"a": (3e-7, 1e-8), "b": (4e-7, 2e-7)}
+    assert balancer.against_springs(sure, {"c_2": 6e-7}) == ""
+    assert "5e-07 rad/(N m)" in balancer.against_springs(sure, {"c_2": 2e-7})
+    assert balancer.against_springs(unsure, {"c_2": 2e-7}) == ""
+    assert balancer.against_springs(sure, {}) == ""
