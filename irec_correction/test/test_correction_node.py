@@ -50,6 +50,19 @@ def test_activated_node_streams_minus_the_deflection_and_fades_out_when_the_sens
     cell_side.until(lambda: np.linalg.norm(cell_side.offsets[-1]) < 1e-8, what="no offset")
     steps = np.linalg.norm(np.diff(np.array([np.zeros(3), *cell_side.offsets]), axis=0), axis=1)
     assert steps.max() <= 0.02 * 0.004 * 3  # messages may be lost on the way here: three ticks at most between two
+    activate_again(cell_side)
+
+
+def activate_again(side):
+    """Out of FAULT by the lifecycle's own `activate`, with no `deactivate` before it."""
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+
+    side.publishing = True
+    change = side.node.create_client(ChangeState, "correction_node/change_state")
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
+    assert side.call(change, request).success
+    side.until(lambda: side.states[-1].state == 2, what="ACTIVE again")
 
 
 def test_a_node_that_comes_back_takes_the_calibration_in_force_and_waits_to_be_activated(
