@@ -117,6 +117,8 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         "tf_node": ("irec_calibration.nodes.tf_node", {}),
         "correction_node": ("irec_correction.nodes.correction_node", {"cell": CELL, "autostart": "true"}),
         "rsi_bridge": ("irec_correction.nodes.rsi_bridge", {"cell": CELL, "port": port}),
+        "driver": ("irec_calibration.nodes.ros2_control_driver", {"cell": CELL}),
+        "tracker": ("irec_calibration.nodes.tracker_driver", {"source": f"udp://127.0.0.1:{port + 1}", "station": "A"}),
         "can_ft_node": ("irec_correction.nodes.can_ft_node", {"interface": "slcan", "channel": adapter.channel, "rate": 50.0,
                                                               "block": f"irec_security_{os.getpid()}"}),
     }  # fmt: skip
@@ -130,6 +132,11 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
                 [sys.executable, "-m", module, "--ros-args", *arguments], stdout=log, stderr=subprocess.STDOUT,
                 start_new_session=True,
             )  # fmt: skip
+    with open(folder / "irec_cell_page.log", "wb") as log:
+        page = "import time; from irec_calibration.nodes.cell_link import RosLink; link = RosLink(); time.sleep(3600)"
+        processes["irec_cell_page"] = subprocess.Popen(
+            [sys.executable, "-c", page], stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+        )
     made = Running(processes, port)
     try:
         end = time.monotonic() + START
@@ -218,6 +225,31 @@ def test_the_bridge_listens_to_the_controller_where_it_was_told_and_nowhere_else
     sockets = [s for pid in processes for s in sockets_of(pid) if s[2] == running.rsi_port]
     assert sockets and all(s[:2] == ("udp", LOOPBACK) for s in sockets), sockets
     assert not any(s[0].startswith("tcp") for pid in processes for s in sockets_of(pid))
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("address", ["0.0.0.0", "0", "[::]", ""])
+def test_a_tracker_driver_is_not_made_to_listen_on_every_network(address: str) -> None:
+    pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
+    from irec_calibration.drivers.tracker_stream import StreamError
+    from irec_calibration.nodes.tracker_driver import _source
+
+    with pytest.raises(StreamError, match="source"):
+        _source(f"udp://{address}:700")
+
+
+def test_a_lock_in_a_folder_of_everybody_is_no_link_to_a_file_of_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sys.path.append(str(ROOT / "tools"))
+    from demo_parts import domain
+
+    ours = tmp_path / "ours"
+    ours.write_text("kept")
+    (tmp_path / "irec-ros-domain-10.lock").symlink_to(ours)
+    monkeypatch.setattr(domain.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(domain, "in_use", lambda number: False)
+    taken, lock = domain.take_domain(10, 11)
+    assert taken == 11 and ours.read_text() == "kept"
+    lock.close()
 
 
 def _children(pid: int) -> list[int]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import fcntl
+import os
 import tempfile
 from pathlib import Path
 from typing import IO
@@ -27,9 +28,10 @@ def take_domain(first: int, last: int) -> tuple[int, IO[str]]:
         ValueError: all of first to last are taken.
     """
     for domain in range(first, last + 1):
-        try:
-            lock = open(Path(tempfile.gettempdir()) / f"irec-ros-domain-{domain}.lock", "w")
-        except PermissionError:  # somebody else's
+        path = Path(tempfile.gettempdir()) / f"irec-ros-domain-{domain}.lock"
+        try:  # anybody may make a file, or a link to a file of ours, of this name there first
+            lock = open(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644), "r+")
+        except OSError:  # somebody else's
             continue
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -115,6 +115,20 @@ NODES = (
         subscribe=("robot/force_setpoint", "irec/offset", "sim/follower"),
         serve=("robot/set_control_mode",), execute=("robot/move",), sometimes=("temperature/*",),
     ),
+    Node(  # the cell page of irec workbench
+        "irec_calibration", "irec_cell_page", subscribe=("irec/procedure/status",),
+        call=("irec/put_in_force", "irec/procedure/pause", "irec/procedure/resume"), send=("irec/recertify",),
+        publish=("/diagnostics",), sometimes=("/diagnostics",),
+    ),
+    Node(  # ros2_control_driver, with the topics of its defaults
+        "irec_calibration", "driver",
+        publish=("tcp_pose", "wrench", "wrench_raw", "robot/state", "robot_description", "sim/follower",
+                 "joint_trajectory_controller/joint_trajectory", "/diagnostics"),
+        subscribe=("joint_states", "force_torque_sensor_broadcaster/wrench", "robot/force_setpoint", "irec/offset"),
+        serve=("robot/set_control_mode", "robot/clear_fault"), execute=("robot/move",),
+        sometimes=("sim/follower", "/diagnostics"),
+    ),
+    Node("irec_calibration", "tracker", publish=("tracker/point", "/diagnostics"), sometimes=("/diagnostics",)),
     Node("irec_sim", "simulator", publish=("/diagnostics",), serve=("sim/run_course", "sim/clear_fault"),
          sometimes=("/diagnostics",)),
 )  # fmt: skip

@@ -24,6 +24,9 @@ ENCLAVES = {  # nodes that share a process share its keys
     "rsi_bridge": ("rsi_bridge",),
     "can_ft": ("can_ft_node",),
     "cell": ("cell", "simulator"),
+    "workbench": ("irec_cell_page",),
+    "ros2_control_driver": ("driver",),
+    "tracker": ("tracker",),
 }
 
 

@@ -31,6 +31,7 @@ from ..errors import IrecError
 
 RETRY = 1.0  # s between two tries to connect
 QUIET = 0.2  # s that a read waits, so that the node can end
+EVERYWHERE = ("0.0.0.0", "0", "::")
 NO_POINTS = 2.0  # s without a point that are worth a warning
 SENSORS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 EITHER = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -170,6 +171,10 @@ def _source(text: str) -> tuple[str, str]:
         return "topic", text.removeprefix("topic:")
     try:
         parts = urlsplit(text)
+        if parts.scheme == "udp" and parts.hostname in EVERYWHERE:
+            raise StreamError(
+                f"parameter 'source' is '{text}', which listens on every network; name the address on the tracker's one"
+            )
         if parts.scheme in ("tcp", "udp") and parts.hostname and parts.port:
             return parts.scheme, f"{parts.hostname}:{parts.port}"
     except ValueError:

@@ -19,7 +19,8 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Iterator
+import stat
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,23 @@ def changed_file(path: Path, sha256: str) -> str:
     if not path.is_file():
         return f"{path}: is missing, the calibration can't be trusted"
     return "" if file_sha256(path) == sha256 else f"{path}: was changed since it came into the store"
+
+
+def refuse_what_anybody_writes(paths: Iterable[Path]) -> None:
+    """Raises ModelError where one of the files or folders that are there can be written by every user of the machine.
+
+    The hashes of a journal show what was changed by mistake; whoever can write the folder can write hashes that fit too.
+    """
+    for path in paths:
+        try:
+            mode = stat.S_IMODE(path.stat().st_mode)
+        except OSError:
+            continue
+        if mode & stat.S_IWOTH:
+            raise ModelError(
+                f"{path}: everybody on this machine can write it (mode {mode:o}), so what lies there can't be trusted to come"
+                f" into force; take that away: chmod o-w '{path}'"
+            )
 
 
 def changed_files(journal: Path) -> tuple[Journal, list[str]]:
@@ -92,8 +110,9 @@ class Store:
         """The entry, path and model in force; None where none is.
 
         Raises:
-            ModelError: its file is missing or was changed since.
+            ModelError: its file is missing or was changed since, or everybody can write it.
         """
+        refuse_what_anybody_writes((self.folder.parent, self.folder, self.journal))
         entry = self.in_force_entry()
         return None if entry is None else (entry, *self._checked(entry))
 
@@ -108,6 +127,7 @@ class Store:
 
     def _checked(self, entry: Entry) -> tuple[Path, Model]:
         path = self.model_path(entry.calibration)
+        refuse_what_anybody_writes((self.folder.parent, self.folder, self.journal, path.parent, path))
         stored = self._added(entry.calibration).files
         basis = {name: sha for name, sha in stored.items() if name.startswith(BASIS)}  # a check rests on them too
         for name, sha in {path.name: entry.model_sha256, **basis}.items():

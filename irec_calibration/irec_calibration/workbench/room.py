@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from ..errors import Cancelled, IrecError
+from ..files import parse_yaml, read_text
+from ..files.yaml_text import YamlProblem
 from ..typing import Array, BoolArray, IntArray
 from .desk import Desk, changed
 from .free_names import free_folder, free_path
@@ -42,9 +43,12 @@ class Shared:
 
 
 def fingerprint(session: str, model: str) -> str:
-    """What a diagnosis rests on: the session's files as they are now, and a model without its history."""
-    text = Path(model).read_text(encoding="utf-8")
-    data = yaml.safe_load(text)
+    """What a diagnosis rests on: the session's files as they are now, and a model without its history. IrecError: not readable."""
+    text = read_text(model, "model")
+    try:
+        data, _ = parse_yaml(text)
+    except YamlProblem as problem:
+        raise IrecError(f"{model}:{problem.line}: {problem.text}") from None
     what = {k: v for k, v in data.items() if k not in ("made", "history")} if isinstance(data, dict) else text
     return hashlib.sha256(f"{session} {changed(Path(session))} {what}".encode()).hexdigest()
 

@@ -77,6 +77,19 @@ def test_a_model_that_was_changed_since_is_not_trusted(store: Store) -> None:
         store.put_in_force("0002", "M")
 
 
+@pytest.mark.parametrize("what", [".", "KR-1", "KR-1/journal.jsonl", "KR-1/0002", "KR-1/0002/model.yaml"])
+def test_what_everybody_can_write_is_not_trusted_with_what_comes_into_force(store: Store, tmp_path: Path, what: str) -> None:
+    path = tmp_path / what
+    mode = path.stat().st_mode
+    path.chmod(mode | 0o002)
+    with pytest.raises(ModelError, match=r"everybody on this machine can write it .* chmod o-w"):
+        store.in_force()
+    with pytest.raises(ModelError, match="everybody on this machine can write it"):
+        store.put_in_force("0002", "M. Muster")
+    path.chmod(mode)
+    assert in_force(store) == "0002"
+
+
 def test_an_unknown_calibration_is_refused_with_those_that_there_are(store: Store) -> None:
     with pytest.raises(ModelError, match="0001, 0002"):
         store.put_in_force("0007", "M")

@@ -12,6 +12,7 @@ import pytest
 from irec_calibration.errors import IrecError
 from irec_calibration.workbench.free_names import free_path
 from irec_calibration.workbench.plain import Version
+from irec_calibration.workbench.room import fingerprint
 from irec_calibration.workbench.versions import Versions, new_folder, past_work
 
 
@@ -82,3 +83,11 @@ def test_a_file_that_exists_is_never_written_to(tmp_path):
     first = free_path(tmp_path, "model", ".yaml")
     first.write_text("mine")
     assert free_path(tmp_path, "model", ".yaml") != first and first.read_text() == "mine"
+
+
+def test_a_model_whose_aliases_explode_is_refused_where_diagnoses_are_looked_up(tmp_path):
+    model = tmp_path / "model.yaml"
+    lines = [f"{b}: &{b} [{', '.join([f'*{a}'] * 10)}]" for a, b in zip("abcdefgh", "bcdefghi", strict=True)]
+    model.write_text("\n".join(["a: &a [x, x, x, x, x, x, x, x, x, x]", *lines]))
+    with pytest.raises(IrecError, match=r"model.yaml:\d+: more than .* values"):
+        fingerprint("/data/session", str(model))
