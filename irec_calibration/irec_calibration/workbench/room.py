@@ -43,7 +43,7 @@ class Shared:
 
 
 def fingerprint(session: str, model: str) -> str:
-    """What a diagnosis rests on: the session's files as they are now, and a model without its history. IrecError: not readable."""
+    """What a diagnosis rests on: the session's files as they are now, and a model without its history. Raises IrecError."""
     text = read_text(model, "model")
     try:
         data, _ = parse_yaml(text)
