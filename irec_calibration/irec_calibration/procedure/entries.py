@@ -48,12 +48,17 @@ def move_out(p: Procedure) -> None:
     p.move(MoveLinear(tcp[0] - WITHDRAW * R[:, 2], R, p.settings.linear_speed))
 
 
-def move_home(p: Procedure) -> None:
-    """Line 4; the rail stays where it is, since the arm may still be close to the tooling. Draws the order of the load cases."""
+def begin_pose(p: Procedure) -> None:
+    """Nothing is recorded of it yet. Draws the order of the load cases."""
     p.pose_since, p.recorded, p.case, p.outcome = p.since_elapsed, 0, 0, ""
     if p.seed is not None and p.target is not None:
         drawn = np.random.default_rng([p.seed, p.target.pose, p.repeat]).permutation(len(p.forces))
         p.order = tuple(int(j) + 1 for j in drawn)
+
+
+def move_home(p: Procedure) -> None:
+    """Line 4; the rail stays where it is, since the arm may still be close to the tooling."""
+    begin_pose(p)
     if problem := _standing_problem(p):
         p.stop(problem)
         return
@@ -231,7 +236,7 @@ def give_up(p: Procedure) -> None:
 
 
 _ALL = (
-    nothing, switch_to_position, move_out, move_home, move_to_approach, move_to_reference, begin_window, record_and_switch,
+    nothing, switch_to_position, move_out, begin_pose, move_home, move_to_approach, move_to_reference, begin_window, record_and_switch,
     ask_for_contact, ask_for_force, record_row, count_case, move_to_retract, count_pose, give_up,
 )  # fmt: skip
 ENTRIES: dict[str, Callable[[Procedure], None]] = {function.__name__: function for function in _ALL}

@@ -68,6 +68,20 @@ def _stands_still(p: Procedure) -> bool:
     return not p.message
 
 
+def _same_place(p: Procedure) -> bool:
+    """The robot stands at the approach pose of what comes next, back from a measurement there that was completed."""
+    if p.outcome or not 0 < p.index < len(p.work):
+        return False
+    last, following = p.work[p.index - 1][0], p.work[p.index][0]
+    return (
+        last.rail == following.rail
+        and np.array_equal(last.q_approach, following.q_approach)
+        and np.array_equal(last.R_tool_in_base, following.R_tool_in_base)
+        and np.array_equal(last.p_approach, following.p_approach)
+        and np.array_equal(last.p_reference, following.p_reference)
+    )
+
+
 def _guards() -> dict[str, Callable[[Procedure], bool]]:
     return {
         "always": lambda p: True,
@@ -86,6 +100,7 @@ def _guards() -> dict[str, Callable[[Procedure], bool]]:
         "pausing": lambda p: p.pause_wanted,
         "resumed": lambda p: not p.pause_wanted,
         "no_pose_left": lambda p: p.index >= len(p.work),
+        "same_place": _same_place,
     }
 
 

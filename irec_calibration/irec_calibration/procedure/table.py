@@ -10,6 +10,8 @@ guards.py, next state), the first guard that holds wins; `otherwise` is what a t
     next_case     give this load case up, its rows are not recorded, and go on with the next one
     failed        the robot does not obey: end the run and say so
 
+Where the next pose or repeat is at the same place, the robot advances again from its approach pose without the way home.
+
 A run takes the robot as it finds it: `position_first` and `withdraw` leave a contact before anything else is asked.
 """
 
@@ -60,7 +62,9 @@ STATES = {
         State("retract",        "25",     "move_to_retract",     "failed",       (("moved", "next_pose"),)),
         State("next_pose",      "26-27",  "count_pose",          "",             (("ending", "finished"),
                                                                                   ("no_pose_left", "finished"),
-                                                                                  ("pausing", "paused"), ("always", "home"))),
+                                                                                  ("pausing", "paused"), ("same_place", "again"),
+                                                                                  ("always", "home"))),
+        State("again",          "26-27",  "begin_pose",          "",             (("always", "advance"),)),
         State("paused",         "-",      "nothing",             "",             (("ending", "finished"), ("resumed", "home"))),
         State("failed",         "-",      "give_up",             "",             (("always", "finished"),)),
         State("finished",       "27",     "nothing",             "",             ()),

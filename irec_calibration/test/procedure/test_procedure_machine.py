@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fake_robot import FORCES, FakeRobot, keys
@@ -63,6 +65,48 @@ def test_the_robot_advances_only_from_the_approach_pose_and_goes_back_there() ->
     assert [type(m).__name__ for m in moves] == ["MoveJoint", "MoveJoint", "MoveLinear", "MoveLinear"]
     assert moves[2].p_in_base[2] == pytest.approx(0.003)  # type: ignore[union-attr]
     assert moves[3].p_in_base[2] == pytest.approx(0.15)  # type: ignore[union-attr]
+
+
+def move_names(robot: FakeRobot) -> list[str]:
+    return [type(c).__name__ for c in robot.commands if isinstance(c, MoveJoint | MoveLinear)]
+
+
+def test_a_repeat_advances_again_from_the_approach_pose_without_the_way_home() -> None:
+    robot = FakeRobot(2, repeats=3, order_seed=4).start().run()
+    assert [(r.pose, r.repeat) for r in robot.rows if r.load_case == 0] == [(p, k) for p in (1, 2) for k in range(3)]
+    assert kinds(robot) == ["complete"] * 6 + ["finished"] and robot.is_safe
+    assert move_names(robot) == ["MoveJoint", "MoveJoint", *["MoveLinear", "MoveLinear"] * 3] * 2
+    orders = {tuple(r.load_case for r in robot.rows if (r.pose, r.repeat) == (1, k)) for k in range(3)}
+    assert len(orders) > 1, "each repeat draws an order of its own"
+
+
+def test_poses_of_other_numbers_at_the_same_place_are_visited_without_the_way_home() -> None:
+    robot = FakeRobot(2)
+    (first, _), (second, _) = robot.procedure.work
+    robot.procedure.work[1] = (replace(first, pose=second.pose), 0)
+    robot.start().run()
+    assert [r.pose for r in robot.rows if r.load_case == 0] == [1, 2]
+    assert move_names(robot) == ["MoveJoint", "MoveJoint", *["MoveLinear", "MoveLinear"] * 2] and robot.is_safe
+
+
+def test_a_repeat_after_one_that_was_given_up_or_broken_off_begins_at_home() -> None:
+    robot = FakeRobot(1, repeats=2, settings={"skip_limit": 1.0}).start()
+    robot.run(stop_when="reference")
+    robot.sees_marker = False
+    robot.run(stop_when="home")
+    robot.sees_marker = True
+    robot.run()
+    assert [(r.pose, r.repeat) for r in robot.rows if r.load_case == 0] == [(1, 1)]
+    assert move_names(robot) == ["MoveJoint", "MoveJoint", "MoveLinear", "MoveLinear"] * 2
+
+    robot = FakeRobot(1, repeats=2).start()
+    robot.run(stop_when="settle")
+    robot.procedure.pause()
+    robot.run(stop_when="paused")
+    robot.procedure.resume()
+    robot.run()
+    assert move_names(robot)[:6] == ["MoveJoint", "MoveJoint", "MoveLinear", "MoveLinear", "MoveJoint", "MoveJoint"]
+    assert robot.is_safe
 
 
 def test_recorded_forces_are_the_means_of_what_was_read() -> None:
