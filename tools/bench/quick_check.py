@@ -29,7 +29,7 @@ from irec_calibration.recertification.quick_check import (
     reference_of,
     signal_to_noise,
 )
-from irec_calibration.recertification.quick_plan import MATTERS, plan
+from irec_calibration.recertification.quick_plan import MATTERS, QuickPlan, plan
 from irec_calibration.recertification.station import with_stations_found
 from irec_calibration.session import Session, read_session
 from irec_calibration.typing import Array
@@ -53,6 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--robots", type=int, default=2, help="robots of each kind (default: 2)")
     parser.add_argument("--first", type=int, default=0, help="number of the first robot, which is its seed too (default: 0)")
     parser.add_argument("--unchanged", type=int, default=4, help="checks of each robot that has not changed (default: 4)")
+    parser.add_argument("--repeats", type=int, default=1, help="times that the calibration measured each pose (default: 1)")
     parser.add_argument("--noise", type=float, default=1.0, help="true noise as a multiple of the stated one (default: 1)")
     args = parser.parse_args(arguments)
     counts: dict[str, Counter[str]] = {}
@@ -73,13 +74,13 @@ def _count(
     """One robot: calibrated, then checked unchanged and with each change."""
     truth = make_truth("afp", [], seed)
     where = spread_poses(read_cell("afp"), POSES, np.random.default_rng(seed))
-    base = with_stations_found(_measured(truth, where, 1000 + seed, args.noise))
+    base = with_stations_found(_measured(truth, where, 1000 + seed, args.noise, args.repeats))
     reference = reference_of(identify(base, default_terms(base)).terms, base, TOLERANCE)
     chosen = plan(reference)
     poses = [p - 1 for p in chosen.poses]
     for number, (name, changed) in enumerate(_kinds(truth, chosen.sizes, args.unchanged)):
         noise_seed = 10_000 + 100 * seed + number
-        decision, visits = _checked(reference, changed, _some(where, poses), noise_seed, args.noise, chosen.sizes)
+        decision, visits = _checked(reference, changed, _some(where, poses), noise_seed, args.noise, chosen)
         moved = float(np.linalg.norm(_moved(truth, changed, where), axis=1).max())
         bounds.setdefault(name, []).append(_bound(reference, truth, changed, _some(where, poses)))
         c = counts.setdefault(name, Counter())
@@ -92,7 +93,8 @@ def _count(
 
 
 def _print(counts: dict[str, Counter[str]], bounds: dict[str, list[tuple[float, float]]], args: argparse.Namespace) -> None:
-    print(f"quick check, robots {args.first} to {args.first + args.robots - 1}, noise {args.noise:g} times the stated")
+    said = f"each calibrated on {POSES} poses measured {args.repeats} times, noise {args.noise:g} times the stated"
+    print(f"quick check, robots {args.first} to {args.first + args.robots - 1}, {said}")
     print("found: did not pass; moved: largest displacement of the tool; best: what the best test of the same readings finds")
     print(f"{'':30}  changed  not decided  pass  mean visits  moved um   found  best  with {MANY:g} repeats")
     for name, c in counts.items():
@@ -157,31 +159,33 @@ def _bound(reference: Reference, before: Truth, after: Truth, where: Poses) -> t
 
 
 def _checked(
-    reference: Reference, truth: Truth, where: Poses, seed: int, noise: float, sizes: Mapping[str, float]
+    reference: Reference, truth: Truth, where: Poses, seed: int, noise: float, chosen: QuickPlan
 ) -> tuple[str, int]:
     session = _measured(truth, where, seed, noise)
-    for n in range(2, MOST_VISITS + 1):
-        result = check(reference, session.select_poses(list(range(1, n + 1))), sizes)
+    for n in chosen.looks:
+        result = check(reference, session.select_poses(list(range(1, n + 1))), chosen.sizes, last=n == MOST_VISITS)
         if result.decision != "undecided":
-            return result.decision, n
-    return result.decision, MOST_VISITS
+            break
+    return result.decision, n
 
 
-def _measured(truth: Truth, where: Poses, seed: int, noise: float) -> Session:
+def _measured(truth: Truth, where: Poses, seed: int, noise: float, repeats: int = 1) -> Session:
     """A session whose tracker stands some centimetres and milliradians from where it is stated."""
     cell, rng = read_cell("afp"), np.random.default_rng([seed, 1])
     schedule = make_schedule(cell, where, 0.0, rng)
     rows = simulate(cell, truth.physics(), schedule)
+    turn, shift = Rotation.from_rotvec(rng.normal(0.0, 4e-3, 3)).as_matrix(), rng.normal(0.0, 0.02, 3)
     sigma = noise * (cell.noise["tracker_m"] + cell.noise["tracker_m_per_m"] * rows.distance)
-    marker = rows.p_marker + rng.standard_normal(rows.p_marker.shape) * sigma[..., None]
-    marker += rng.normal(0.0, noise * cell.noise.get("settling_m", 0.0), marker.shape)
-    turn = Rotation.from_rotvec(rng.normal(0.0, 4e-3, 3)).as_matrix()
-    marker = marker @ turn.T + rng.normal(0.0, 0.02, 3)
-    force = rows.force_reading + rng.normal(0.0, cell.noise["force_n"], rows.force_reading.shape)
-    numbers = np.arange(1, len(where.q) + 1)
-    one = Pass(numbers, schedule.case, schedule.stamp, rows.q, rows.p_controller, marker, force)
+    passes = []
+    for k in range(repeats):
+        marker = rows.p_marker + rng.standard_normal(rows.p_marker.shape) * sigma[..., None]
+        marker += rng.normal(0.0, noise * cell.noise.get("settling_m", 0.0), marker.shape)
+        force = rows.force_reading + rng.normal(0.0, cell.noise["force_n"], rows.force_reading.shape)
+        stamp = schedule.stamp + k * (schedule.stamp.max() + 10.0)
+        numbers = np.arange(1, len(where.q) + 1)
+        passes.append(Pass(numbers, schedule.case, stamp, rows.q, rows.p_controller, marker @ turn.T + shift, force))
     with tempfile.TemporaryDirectory() as folder:
-        made = Generated(cell, Conduct(), dict(cell.noise), [schedule], [rows], [one])
+        made = Generated(cell, Conduct(repeats=repeats), dict(cell.noise), [schedule] * repeats, [rows] * repeats, passes)
         return read_session(write_session(made, Path(folder) / "s", "s"))
 
 

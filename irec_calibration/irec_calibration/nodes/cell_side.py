@@ -127,7 +127,8 @@ class RosCell:
         if not self._procedure.wait_for_server(timeout_sec=ANSWER_WAIT):
             raise IrecError("procedure_node does not answer on irec/run_procedure; start it")
         news: list[RunProcedure.Feedback] = []
-        goal = RunProcedure.Goal(poses_path=str(poses_path), session_path=str(session_path), resume=resume)
+        repeats = 1 if self._stage == "quick_check" else 0  # its visits are listed one by one; else as the cell file says
+        goal = RunProcedure.Goal(poses_path=str(poses_path), session_path=str(session_path), resume=resume, repeats=repeats)
         sent = self._procedure.send_goal_async(goal, feedback_callback=lambda m: news.append(m.feedback))
         handle = waited(sent, ANSWER_WAIT)
         if handle is None or not handle.accepted:

@@ -236,7 +236,7 @@ def give_up(p: Procedure) -> None:
 
 
 _ALL = (
-    nothing, switch_to_position, move_out, begin_pose, move_home, move_to_approach, move_to_reference, begin_window, record_and_switch,
-    ask_for_contact, ask_for_force, record_row, count_case, move_to_retract, count_pose, give_up,
+    nothing, switch_to_position, move_out, begin_pose, move_home, move_to_approach, move_to_reference, begin_window,
+    record_and_switch, ask_for_contact, ask_for_force, record_row, count_case, move_to_retract, count_pose, give_up,
 )  # fmt: skip
 ENTRIES: dict[str, Callable[[Procedure], None]] = {function.__name__: function for function in _ALL}

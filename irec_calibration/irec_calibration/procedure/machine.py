@@ -25,7 +25,9 @@ from .watch import Watch
 RENEWALS = 5  # force set points per lease
 NO_LEASE_PERIOD = 0.1  # s between force set points where the driver has no lease
 ASK_AGAIN = 0.5  # s after which leaving force control is asked for again where it was refused
-NOT_BROKEN_OFF = ("idle", "position_first", "withdraw", "position_mode", "retract", "next_pose", "again", "paused", "finished", "failed")
+NOT_BROKEN_OFF = (
+    "idle", "position_first", "withdraw", "position_mode", "retract", "next_pose", "again", "paused", "finished", "failed",
+)  # fmt: skip
 
 
 @dataclass

@@ -138,11 +138,14 @@ def _quick_check(
     chosen = plan(reference)
     poses = _quick_poses(store, now[0], chosen, run.folder / "quick_poses.yaml", place)
     results: list[QuickResult] = []
+    seen = 0
 
-    def enough() -> bool:
-        result = _so_far(reference, chosen, run.session)
+    def enough(last: bool = False) -> bool:
+        nonlocal seen
+        visits, result = _so_far(reference, chosen, run.session, seen, last)
         if result is None:
             return False
+        seen = visits
         results.append(result)
         side.report("quick_check", result.text)
         return result.decision != "undecided"
@@ -150,7 +153,7 @@ def _quick_check(
     why = ""
     if not enough():  # of a run that was interrupted after its last pose
         why = side.run(poses, run.session, run.session.exists(), enough)
-        enough()
+        enough(last=not why)
     if not results or (why and results[-1].decision == "undecided"):
         raise IrecError(with_advice(f"{(why or 'no pose of the quick check could be used').rstrip('.')}.", GO_ON))
     return results[-1], chosen
@@ -163,17 +166,27 @@ def _quick_check_of(place: Place, run: Run, model: Model, before: Session) -> tu
         return None, None
     reference = reference_of(model.terms, before, place.tolerance)
     chosen = plan(reference)
-    quick = _so_far(reference, chosen, path)
+    _, quick = _so_far(reference, chosen, path, 0, last=True)
     return quick, chosen if quick is not None else None
 
 
-def _so_far(reference: Reference, chosen: QuickPlan, path: Path) -> QuickResult | None:
+def _so_far(reference: Reference, chosen: QuickPlan, path: Path, seen: int, last: bool) -> tuple[int, QuickResult | None]:
+    """Visits and the check of them; None where the robot has left no pose since so many visits were `seen`.
+
+    Args:
+        last: nothing more will be measured; all that there is counts.
+    """
     try:
         session = read_session(path)
         complete = complete_poses(session)
-        return check(reference, session.select_poses(complete.tolist()), chosen.sizes) if len(complete) else None
+        measured = max(complete.tolist(), default=0)
+        visits = measured if last else max((n for n in chosen.looks if n <= measured), default=0)
+        if visits == 0 or (visits == seen and not last):
+            return seen, None
+        now = session.select_poses([p for p in complete.tolist() if p <= visits])
+        return visits, check(reference, now, chosen.sizes, last or visits >= len(chosen.poses))
     except IrecError:  # nothing complete has reached the disk yet
-        return None
+        return seen, None
 
 
 def _quick_poses(store: Store, entry: Entry, chosen: QuickPlan, path: Path, place: Place) -> Path:

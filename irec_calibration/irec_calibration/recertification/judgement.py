@@ -140,7 +140,7 @@ def judge(
     floor = observation.whiten.floor
     change = None
     if in_force is not None and before is not None:
-        change = check(reference_of(in_force.terms, before, tolerance), session)
+        change = check(reference_of(in_force.terms, before, tolerance), session, last=True)
     criteria = _criteria(session, acceptance, rms_new, floor)
     verdict, text = _verdict(criteria, change, in_force, rms_new, rms_old, acceptance)
     axes = axis_compliances(model.terms, observation.scene)

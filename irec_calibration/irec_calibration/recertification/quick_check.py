@@ -7,7 +7,9 @@ gamma what the rows of the calibration itself say about them (ridge regression o
     d = y_now - predicted_now - B_now gamma ~ N(0, s^2 Sigma_now + B_now P B_now' + N V N'),
 
 where P is the covariance of gamma, N holds the unknown rotation of the tracker station and s is the noise that the calibration
-showed. A cause that the model lacked already then is thus no change. After each pose:
+showed. A cause that the model lacked already then is thus no change. Where poses were measured again, what differs between
+visits of a pose is told from what comes again with it (`same_readings`): only the former becomes less with more visits. When the
+robot leaves a pose:
 
 * the robot has *changed* when the mean of the likelihood ratios of all changes, at several sizes, reaches 1/alpha. That mean is
   a martingale where nothing has changed, so a false alarm has probability alpha at the most however often one looks (Ville);
@@ -32,15 +34,16 @@ from ..identification.identify import observe_with_force_noise
 from ..identification.observe import Observation
 from ..model import Term, regressors, total_displacement
 from ..session import Session
-from ..typing import Array
+from ..typing import Array, IntArray
 from .advice import with_advice
 from .changes import Change, changes
+from .same_readings import Level, covariance_of_rows, level_of, places, same_readings
 from .station import with_stations_found
 
 FALSE_ALARM = 0.02
 MISSED = 0.05
-FEWEST_TO_ALARM, FEWEST_POSES = 3, 5
-MOST_VISITS = 16
+FEWEST_TO_ALARM, FEWEST_POSES = 3, 5  # places
+MOST_VISITS = 48
 SIZES = (1.0, 2.0, 4.0, 8.0)  # multiples of the size at which a change must be found
 STATION_ROTATION = 1e-3  # rad, one standard deviation of what is left after the station was found anew
 VISIBLE = 0.3  # whitened length of a change over the whole calibration below which no quick check could show it
@@ -54,7 +57,7 @@ class Reference:
 
     Attributes:
         terms: of the model in force. observation: of its session.
-        scale: standard deviation of the rows relative to what session.yaml states, as the calibration itself shows it.
+        level: noise of the rows relative to what session.yaml states, as the calibration itself shows it.
         gamma, covariance: what the calibration says of the columns of `_columns`, (p,) and (p, p).
         columns: these at the rows of the calibration, (3 m, p).
         changes: those that the calibration's poses can show; each with its displacement as observed there, (m, 3), m.
@@ -63,7 +66,7 @@ class Reference:
 
     terms: tuple[Term, ...]
     observation: Observation
-    scale: float
+    level: Level
     gamma: Array
     covariance: Array
     columns: Array
@@ -82,7 +85,7 @@ class QuickResult:
         size: change -> most likely size, in multiples of that in `changes`.
         like: changes that the data look like, most likely first (only where changed).
         named: change -> all about it. words: change -> in plain words at its most likely size.
-        poses: how many poses took part. text: for the person at the cell.
+        poses: how many different ones took part. visits: how many times one was measured. text: for the person at the cell.
     """
 
     decision: str
@@ -94,6 +97,7 @@ class QuickResult:
     text: str
     named: dict[str, Change]
     words: dict[str, str]
+    visits: int = 0
 
 
 def reference_of(terms: Sequence[Term], session: Session, tolerance: float) -> Reference:
@@ -106,26 +110,36 @@ def reference_of(terms: Sequence[Term], session: Session, tolerance: float) -> R
     observation = observe_with_force_noise(with_stations_found(session), terms)
     residual = observation.whiten(observation.y - observation.of(total_displacement(terms, observation.scene))).ravel()
     columns = _columns(terms, observation)
-    scale, gamma, covariance = _ridge(observation.whiten(columns).reshape(len(residual), -1), residual)
+    white = observation.whiten(columns).reshape(len(residual), -1)
+    columns = columns.reshape(len(residual), -1)
+    same = same_readings(observation)
+    total, gamma, _ = _ridge(white, residual)
+    left = observation.y - observation.of(total_displacement(terms, observation.scene))
+    level = level_of(observation, same, left - (columns @ gamma).reshape(-1, 3), total)
+    gamma, covariance = _posterior(white, residual, level.of_means(len(same) / len(np.unique(same))))
     seen = []
     for change in changes(terms, observation.scene):
         displacement = observation.of(change.displacement)
         if np.linalg.norm(observation.whiten(displacement)) > VISIBLE:
             seen.append(replace(change, displacement=displacement))
-    columns = columns.reshape(len(residual), -1)
-    return Reference(terms, observation, scale, gamma, covariance, columns, tuple(seen), tolerance)
+    return Reference(terms, observation, level, gamma, covariance, columns, tuple(seen), tolerance)
 
 
 def _ridge(B: Array, residual: Array) -> tuple[float, Array, Array]:
     """Noise relative to what is stated, coefficients (p,), their covariance (p, p); of whitened columns (n, p) and residual."""
-    G, h = B.T @ B, B.T @ residual
+    G = B.T @ B
     scale = 1.0
     for _ in range(3):  # the noise decides how much the prior shrinks, and the other way round
-        inverse = np.linalg.inv(G / scale**2 + np.eye(len(G)) / WIDE**2)
-        gamma = inverse @ h / scale**2
+        gamma, inverse = _posterior(B, residual, scale)
         freedom = max(len(residual) - float(np.sum(inverse * G)) / scale**2, 1.0)
         scale = max(float(np.linalg.norm(residual - B @ gamma)) / np.sqrt(freedom), QUIETEST)
-    return scale, gamma, np.asarray(inverse, dtype=np.float64)
+    return scale, gamma, inverse
+
+
+def _posterior(B: Array, residual: Array, scale: float) -> tuple[Array, Array]:
+    """Coefficients (p,) and their covariance (p, p) at a noise relative to what is stated."""
+    inverse = np.linalg.inv(B.T @ B / scale**2 + np.eye(B.shape[1]) / WIDE**2)
+    return inverse @ (B.T @ residual) / scale**2, np.asarray(inverse, dtype=np.float64)
 
 
 def _columns(terms: Sequence[Term], observation: Observation) -> Array:
@@ -140,12 +154,13 @@ def _columns(terms: Sequence[Term], observation: Observation) -> Array:
     return observation.of(np.concatenate(blocks, axis=2))
 
 
-def check(reference: Reference, session: Session, sizes: Mapping[str, float] | None = None) -> QuickResult:
+def check(reference: Reference, session: Session, sizes: Mapping[str, float] | None = None, last: bool = False) -> QuickResult:
     """Test the poses measured so far.
 
     Args:
         session: complete poses of this check, of the same robot.
         sizes: change -> multiple of its size in `changes` at which it must be found; 1 where it is not named.
+        last: nothing more will be measured.
 
     Raises:
         SolveError: no row can be used.
@@ -155,17 +170,21 @@ def check(reference: Reference, session: Session, sizes: Mapping[str, float] | N
     columns = _columns(terms, now)
     B = columns.reshape(3 * len(now.rows), -1)
     d = (now.y - now.of(total_displacement(terms, now.scene))).ravel() - B @ reference.gamma
-    scale = reference.scale
+    same = same_readings(now)
+    level = reference.level
     if d.size > 2 * B.shape[1]:  # a noisier tracker is no change of the robot
-        white = now.whiten(d.reshape(-1, 3)).ravel()
-        scale = max(scale, _ridge(now.whiten(columns).reshape(B.shape), white)[0])
-    covariance = _covariance(reference, now, B, scale)
+        white, columns = now.whiten(d.reshape(-1, 3)).ravel(), now.whiten(columns).reshape(B.shape)
+        total, gamma, _ = _ridge(columns, white)
+        left = (d - B @ gamma).reshape(-1, 3)
+        level = level_of(now, same, left, max(float(np.hypot(level.scatter, level.lasting)), total))
+    covariance = _covariance(reference, now, B, level, same)
     visible = {c.name for c in reference.changes}
     looked_for = [c for c in changes(terms, now.scene) if c.name in visible]
     least = np.array([(sizes or {}).get(c.name, 1.0) for c in looked_for])
     A = np.stack([now.of(c.displacement).ravel() for c in looked_for], axis=1) * least
     WA = weighted(covariance, _station(now), A)
-    return _decide(looked_for, least, WA.T @ d, np.einsum("ij,ij->j", A, WA), len(now.poses))
+    n_places = len(np.unique(places(now)))
+    return _decide(looked_for, least, WA.T @ d, np.einsum("ij,ij->j", A, WA), n_places, len(now.poses), last)
 
 
 def signal_to_noise(reference: Reference, session: Session, displacement: Array, repeats: float = 1.0) -> float:
@@ -180,13 +199,14 @@ def signal_to_noise(reference: Reference, session: Session, displacement: Array,
     now = observe_with_force_noise(with_stations_found(session), reference.terms)
     B = _columns(reference.terms, now).reshape(3 * len(now.rows), -1)
     a = displacement.reshape(-1, 1)
-    covariance = _covariance(reference, now, B, reference.scale / np.sqrt(repeats))
+    level = replace(reference.level, scatter=reference.level.scatter / np.sqrt(repeats))
+    covariance = _covariance(reference, now, B, level, same_readings(now))
     return float(np.sqrt(max((a.T @ weighted(covariance, _station(now), a)).item(), 0.0)))
 
 
-def _covariance(reference: Reference, now: Observation, B: Array, scale: float) -> Array:
+def _covariance(reference: Reference, now: Observation, B: Array, level: Level, same: IntArray) -> Array:
     """Of the displacements of a check, (3 m, 3 m), m^2: noise of the rows, and what the calibration leaves open of columns B."""
-    noise = np.kron(scale**2 * row_covariance(now), np.eye(3))
+    noise = np.kron(covariance_of_rows(level, row_covariance(now), same), np.eye(3))
     return np.asarray(noise + B @ reference.covariance @ B.T, dtype=np.float64)
 
 
@@ -201,8 +221,11 @@ def weighted(covariance: Array, nuisance: Array, columns: Array) -> Array:
     return np.asarray(Z - U @ np.linalg.solve(np.eye(nuisance.shape[1]) + nuisance.T @ U, nuisance.T @ Z), dtype=np.float64)
 
 
-def _decide(looked_for: Sequence[Change], least: Array, z: Array, information: Array, poses: int) -> QuickResult:
+def _decide(
+    looked_for: Sequence[Change], least: Array, z: Array, information: Array, poses: int, visits: int, last: bool
+) -> QuickResult:
     """Decide from the scores z and informations of the changes, each at its size `least`."""
+    so_far = f"{visits} visits to {poses} poses"
     log_ratio = np.array([[k * z_ - 0.5 * k * k * i_ for k in SIZES] for z_, i_ in zip(z, information, strict=True)])
     e_value = float(np.exp(min(logsumexp(log_ratio) - np.log(log_ratio.size), 700.0)))
     ratio = {c.name: float(np.exp(min(r[0], 700.0))) for c, r in zip(looked_for, log_ratio, strict=True)}
@@ -215,21 +238,21 @@ def _decide(looked_for: Sequence[Change], least: Array, z: Array, information: A
     like = tuple(looked_for[i].name for i in order if by_change[i] > by_change[order[0]] - np.log(20.0))
     if e_value >= 1.0 / FALSE_ALARM and poses >= FEWEST_TO_ALARM:
         odds, looks = odds_text(e_value), " or ".join(words[n] for n in like[:3])
-        text = f"The robot has changed since its calibration (odds {odds} after {poses} poses). It looks like: {looks}."
+        text = f"The robot has changed since its calibration (odds {odds} after {so_far}). It looks like: {looks}."
         text = with_advice(text, "run the full recalibration.")
-        return QuickResult("changed", e_value, ratio, size, like, poses, text, named, words)
+        return QuickResult("changed", e_value, ratio, size, like, poses, text, named, words, visits)
     lowest = ndtri(MISSED / 2.0)  # of (estimate - size) / standard error, for a robot that has changed by just that size
     excluded = {
         c.name
         for c, z_, i_ in zip(looked_for, z, information, strict=True)
-        if ratio[c.name] <= MISSED / 2.0 or (poses >= MOST_VISITS and i_ > 0 and (z_ - i_) / np.sqrt(i_) <= lowest)
+        if ratio[c.name] <= MISSED / 2.0 or (last and i_ > 0 and (z_ - i_) / np.sqrt(i_) <= lowest)
     }
     if poses >= FEWEST_POSES and set(ratio) <= excluded:
-        text = f"The robot is as it was when it was calibrated ({poses} poses). Nothing has to be done."
-        return QuickResult("pass", e_value, ratio, size, (), poses, text, named, words)
+        text = f"The robot is as it was when it was calibrated ({so_far}). Nothing has to be done."
+        return QuickResult("pass", e_value, ratio, size, (), poses, text, named, words, visits)
     left = [c.text(k) for c, k in zip(looked_for, least.tolist(), strict=True) if c.name not in excluded]
-    text = f"After {poses} poses it is not decided yet whether there is: {', '.join(left[:4]) or 'any change'}."
-    return QuickResult("undecided", e_value, ratio, size, (), poses, text, named, words)
+    text = f"After {so_far} it is not decided yet whether there is: {', '.join(left[:4]) or 'any change'}."
+    return QuickResult("undecided", e_value, ratio, size, (), poses, text, named, words, visits)
 
 
 def odds_text(of_change: float) -> str:

@@ -5,8 +5,12 @@ The power to see a change at a set of visits S is the information that `quick_ch
 
     i = a' (s^2 Sigma_S + B_S P B_S' + N V N')^-1 a,
 
-so that what the calibration itself leaves open, and where the tracker stands, is taken into account. Visits are chosen one by
+so that what the calibration itself leaves open, and where the tracker stands, is taken into account. Poses are chosen one by
 one, each for what the changes that are not yet seen well enough gain by it; then for each it is asked whether another is better.
+
+Each pose is measured several times in a row: pressing again takes half of the time of going to another pose, and what limits the
+check is the tracker's noise, not the variety of eight poses. All are gone through twice, so that a large change is found, and
+many an unchanged robot passes, after the first and shorter of the two rounds.
 """
 
 from __future__ import annotations
@@ -18,9 +22,10 @@ import numpy as np
 from ..typing import Array, IntArray
 from .changes import never_shown
 from .quick_check import MOST_VISITS, Reference, row_covariance, station_columns, weighted
+from .same_readings import covariance_of_rows, same_readings
 
-FIRST = 8  # visits of different poses, before any pose is visited again
-MOST_TIMES = 2  # visits of one pose
+PLACES = 8  # different poses
+ROUNDS = (2, 4)  # visits of each pose in the first round, and in the second
 SEEN_WELL = 4.2  # signal to noise at which a change is excluded with 98 % where there is none, and missed with 2.5 %
 MATTERS = 0.10  # share of the tolerance: a change that moves the tool by more has to be found at its size in `changes`
 MOST = 0.20  # share of the tolerance: no other change that moves the tool by more may pass
@@ -46,24 +51,27 @@ class QuickPlan:
     seen: tuple[str, ...]
     never: tuple[str, ...]
 
+    @property
+    def looks(self) -> tuple[int, ...]:
+        """Numbers of visits after which the robot leaves a pose, and the check is asked."""
+        return tuple(n for n in range(1, len(self.poses) + 1) if self.poses[n - 1 : n] != self.poses[n : n + 1])
+
 
 def plan(reference: Reference) -> QuickPlan:
     """Choose visits by the power to see each change, the most telling first."""
     power = _Power(reference)
+    each = MOST_VISITS // PLACES
     times = np.zeros(power.poses, dtype=np.int64)
     order: list[int] = []
-    while len(order) < min(MOST_VISITS, MOST_TIMES * power.poses):
-        most = 1 if len(order) < min(FIRST, power.poses) else MOST_TIMES
-        best = max(np.flatnonzero(times < most).tolist(), key=lambda i: power.worth(_with(times, i)))
-        times[best] += 1
+    while len(order) < min(PLACES, power.poses):
+        best = max(np.flatnonzero(times == 0).tolist(), key=lambda i: power.worth(_with(times, i, each)))
+        times[best] = each
         order.append(best)
-    for place, old in enumerate(order):  # each visit once more: is there a better one?
-        without = times.copy()
-        without[old] -= 1
-        allowed = np.flatnonzero(without < (1 if place < FIRST else MOST_TIMES)).tolist()
-        best = max(allowed, key=lambda i: power.worth(_with(without, i)))
-        if power.worth(_with(without, best)) > 1.001 * power.worth(times):
-            times, order[place] = _with(without, best), best
+    for place, old in enumerate(order):  # each once more: is there a better one?
+        without = _with(times, old, -each)
+        best = max(np.flatnonzero(without == 0).tolist(), key=lambda i: power.worth(_with(without, i, each)))
+        if power.worth(_with(without, best, each)) > 1.001 * power.worth(times):
+            times, order[place] = _with(without, best, each), best
     moved = {c.name: float(np.linalg.norm(c.displacement, axis=1).max()) for c in reference.changes}
     after = np.sqrt(power.of(times))
     seen = {c.name: float(a) for c, a in zip(reference.changes, after, strict=True)}
@@ -71,15 +79,15 @@ def plan(reference: Reference) -> QuickPlan:
     largest = {n: 1.0 if s > MATTERS else MOST / s for n, s in share.items()}
     sizes = {n: float(np.clip(SEEN_WELL / max(seen[n], 1e-9), 1.0, largest[n])) for n in moved}
     return QuickPlan(
-        tuple(int(reference.observation.poses[i]) for i in order), seen, sizes, moved,
+        tuple(int(reference.observation.poses[i]) for n in ROUNDS for i in order for _ in range(n)), seen, sizes, moved,
         tuple(c.text(sizes[c.name]) for c in reference.changes),
         tuple(never_shown(reference.changes, reference.terms, reference.observation.scene)),
     )  # fmt: skip
 
 
-def _with(times: IntArray, i: int) -> IntArray:
+def _with(times: IntArray, i: int, more_often: int) -> IntArray:
     more = times.copy()
-    more[i] += 1
+    more[i] += more_often
     return more
 
 
@@ -90,8 +98,9 @@ class _Power:
         o = reference.observation
         index = np.searchsorted(o.poses, o.pose)
         self.poses = len(o.poses)
-        self._rows = [np.flatnonzero(index == i) for i in range(self.poses)]
-        self._noise = reference.scale**2 * row_covariance(o)
+        repeat = o.session.repeat[o.rows]
+        self._rows = [np.flatnonzero((index == i) & (repeat == repeat[index == i].min())) for i in range(self.poses)]
+        self._level, self._own, self._same = reference.level, row_covariance(o), same_readings(o)
         self._A = np.stack([c.displacement.ravel() for c in reference.changes], axis=1)
         self._B, self._P = reference.columns, reference.covariance
         self._N = station_columns(o.of(o.scene.p_observed) + o.y)
@@ -110,7 +119,7 @@ class _Power:
             at = (3 * rows[:, None] + np.arange(3)).ravel()
             B, A = self._B[at], self._A[at]
             # visits of one pose share what the calibration leaves open, not their noise
-            noise = self._noise[np.ix_(rows, rows)] / np.sqrt(np.outer(often, often))
+            noise = covariance_of_rows(self._level, self._own[np.ix_(rows, rows)], self._same[rows], often)
             covariance = np.kron(noise, np.eye(3)) + B @ self._P @ B.T
             self._known[key] = np.einsum("ij,ij->j", A, weighted(covariance, self._N[at], A))
         return self._known[key]

@@ -36,6 +36,7 @@ from std_msgs.msg import Header
 
 from irec_msgs.action import Recertify
 from irec_msgs.msg import CorrectionState, ProcedureStatus, RobotState
+from irec_msgs.srv import ActivateModel
 
 if TYPE_CHECKING:
     Start = Callable[..., subprocess.Popen[bytes]]
@@ -229,6 +230,8 @@ def test_a_recalibration_goes_on_while_correction_and_recorder_are_killed_and_co
     rclpy.init()
     person = Person()
     try:
+        offered = person.node.create_client(ActivateModel, "irec/correction/activate_model")
+        person.until(offered.service_is_ready, "a correction_node that was started")
         future = person.ask(full=True, dry_run=False, poses_path=str(poses))
         person.presses(after=1)
         person.kill_follower(correction, "correction_node")

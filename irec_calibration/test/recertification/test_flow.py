@@ -4,16 +4,22 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import synthetic
+from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import marker_by_controller
 from irec_calibration.errors import IrecError
+from irec_calibration.identification.identify import identify
+from irec_calibration.identification.provenance import model_of
+from irec_calibration.model import EIGHTEEN_DOF, Term, blank_model
+from irec_calibration.model.file import save_model
 from irec_calibration.recertification.flow import Outcome, recertify
-from irec_calibration.recertification.judgement import Missing
+from irec_calibration.recertification.judgement import Missing, judge
 from irec_calibration.recertification.preconditions import Precondition, another_tool, told_lines
 from irec_calibration.recertification.request import Place, Request, Tool
 from irec_calibration.recertification.run_state import interrupted
@@ -43,8 +49,6 @@ def commissioned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def store(commissioned: Path, tmp_path: Path) -> Store:
-    import shutil
-
     shutil.copytree(commissioned, tmp_path / "c")
     return Store(tmp_path / "c", "S-1")
 
@@ -88,6 +92,33 @@ def test_a_loosened_base_is_to_be_looked_at_and_not_calibrated_away(store: Store
     assert store.in_force_entry().calibration == "0001"  # type: ignore[union-attr]
     assert outcome.calibration == "0002", "it is stored, for whoever decides to use it all the same"
     assert outcome.text.rpartition("Do this now: ")[2].startswith("check the bolts of the base"), "ends in what to do now"
+
+
+def test_the_full_procedure_starts_from_the_effects_of_the_model_in_force_and_not_from_18_dof(tmp_path: Path) -> None:
+    """An engineer has added an effect to the model; the year after, axis 2 is softer."""
+
+    def loose(scene):  # type: ignore[no-untyped-def]
+        turn = np.cross(scene.p_tcp, scene.force) * np.array([4e-8, 4e-8, 0.0])
+        return np.cross(turn, scene.p_observed)
+
+    poses = pose_file(tmp_path / "poses.yaml")
+    session = FakeCell(seed=50, extra=loose).measured(poses)
+    improved = (*blank_model(EIGHTEEN_DOF), Term(find_effect("base_compliance")))
+    (tmp_path / "improved").mkdir()
+    save_model(model_of(identify(session, improved)), tmp_path / "improved" / "model.yaml")
+    write_table(session, tmp_path / "improved" / "session")
+    shutil.copyfile(poses, tmp_path / "improved" / "poses.yaml")
+    store = Store(tmp_path / "cal", "S-1")
+    store.put_in_force(store.add(tmp_path / "improved", "recalibrated", "M. Muster").calibration, "M. Muster")
+
+    request = Request("M. Muster", str(poses), full=True)
+    outcome = recertify(PLACE, store, request, FakeCell(seed=500, extra=loose, compliance=softer(2, 1.2)))
+    assert outcome.verdict == "recalibrated" and "axis 2" in outcome.text, outcome.text
+    assert outcome.judgement is not None and outcome.judgement.rms_new < 1.3 * outcome.judgement.noise_floor
+    _, _, model = store.in_force()  # type: ignore[misc]
+    assert {t.effect.id for t in model.terms} == {t.effect.id for t in improved}
+    plain = judge(read_session(outcome.session_path), None, None, PLACE.acceptance, PLACE.tolerance)
+    assert plain.rms_new > 2.0 * outcome.judgement.rms_new, "18 DOF alone do not describe this robot"
 
 
 def test_an_effect_that_the_diagnosis_names_is_to_be_looked_at(store: Store) -> None:

@@ -20,7 +20,7 @@ from irec_calibration.recertification.quick_check import (
     reference_of,
     signal_to_noise,
 )
-from irec_calibration.recertification.quick_plan import MATTERS, MOST, SEEN_WELL, QuickPlan, _Power, plan
+from irec_calibration.recertification.quick_plan import MATTERS, MOST, PLACES, ROUNDS, SEEN_WELL, QuickPlan, _Power, plan
 from irec_calibration.recertification.station import with_stations_found
 from irec_calibration.session import Session
 from scipy.spatial.transform import Rotation
@@ -62,8 +62,8 @@ def visited(ref: Reference, q: np.ndarray, seed: int, stated: float = 1.0, **rob
     session = station_moved(synthetic.session(len(visits), seed, q_of_poses=visits, **robot), seed)  # type: ignore[arg-type]
     n = session.noise
     session = replace(session, noise=replace(n, tracker_m=n.tracker_m * stated, tracker_m_per_m=n.tracker_m_per_m * stated))
-    for k in range(2, MOST_VISITS + 1):
-        result = check(ref, session.select_poses(list(range(1, k + 1))), chosen.sizes)
+    for k in chosen.looks:
+        result = check(ref, session.select_poses(list(range(1, k + 1))), chosen.sizes, last=k == MOST_VISITS)
         if result.decision != "undecided":
             return result
     return result
@@ -102,12 +102,14 @@ def test_a_robot_passes_only_after_enough_poses() -> None:
     ref, q = reference()
     result = visited(ref, q, 3)
     assert result.decision == "pass" and result.poses >= FEWEST_POSES
+    assert f"({result.visits} visits to {result.poses} poses)" in result.text
 
 
 def test_the_plan_tells_at_which_size_each_change_is_found() -> None:
     ref, _ = reference()
     chosen = plan_of(ref)
-    assert len(chosen.poses) == MOST_VISITS and len(set(chosen.poses[:8])) == 8
+    assert len(chosen.poses) == MOST_VISITS and len(set(chosen.poses)) == PLACES
+    assert chosen.looks == (*range(2, 17, 2), *range(20, 49, 4)), "each pose twice in the first round, four times in the second"
     for name, size in chosen.sizes.items():
         assert size >= 1.0
         assert size == 1.0 or chosen.moved[name] <= MATTERS * TOLERANCE, "what matters is found at its size"
@@ -122,7 +124,8 @@ def test_visits_are_chosen_better_than_at_random() -> None:
     chosen = np.bincount(np.searchsorted(ref.observation.poses, plan_of(ref).poses), minlength=power.poses)
     rng = np.random.default_rng(1)
     worth = [
-        power.worth(np.bincount(rng.choice(power.poses, MOST_VISITS, replace=False), minlength=power.poses)) for _ in range(50)
+        power.worth(sum(ROUNDS) * np.bincount(rng.choice(power.poses, PLACES, replace=False), minlength=power.poses))
+        for _ in range(50)
     ]
     assert power.worth(chosen) > max(worth)
 
