@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from ..effects import Ageing, Effect, Parameter, known_effects
 from ..effects.scene import Scene
 from ..errors import EffectError
-from ..model import Term, prepared, regressors
+from ..model import Estimate, Term, prepared, regressors
 from ..typing import Array
 
 WELL_KNOWN = 0.3  # standard error of a compliance relative to its value
@@ -93,14 +94,24 @@ def _ageing(terms: Sequence[Term], scene: Scene) -> list[tuple[Effect, list[tupl
 
 
 def _columns(effect: Effect, terms: Sequence[Term], scene: Scene) -> dict[str, Array]:
-    """Displacement per unit of each linear parameter of an effect beside the other terms, (n, 3); none where it can't act."""
+    """Displacement per unit of each linear parameter of an effect beside the other terms, (n, 3); none where it can't act.
+
+    How an effect goes on its grids (over what range of torque play is taken up) nobody knows of a change that has not come yet:
+    of the values on the grids those are taken with which the rows show least of it.
+    """
     others = [t for t in terms if t.effect.id != effect.id]
     try:
         parameters = effect.parameters(prepared(others, scene))
-        block = regressors([*others, Term(effect)], scene)[-1]
+        grids = [p for p in parameters if p.grid]
+        ways = [
+            regressors([*others, Term(effect, {p.name: Estimate(v) for p, v in zip(grids, values, strict=True)})], scene)[-1]
+            for values in product(*(p.grid for p in grids))
+        ]
     except EffectError:
         return {}
-    return {p.name: block[:, :, i] for i, p in enumerate(parameters) if not p.grid and np.any(block[:, :, i])}
+    linear = [i for i, p in enumerate(parameters) if not p.grid]
+    block = min(ways, key=lambda way: float(np.linalg.norm(scene.change(way[:, :, linear]))))
+    return {parameters[i].name: block[:, :, i] for i in linear if np.any(block[:, :, i])}
 
 
 def _value(terms: Sequence[Term], effect_id: str, parameter: Parameter) -> float:
