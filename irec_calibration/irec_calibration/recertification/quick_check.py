@@ -115,7 +115,7 @@ def reference_of(terms: Sequence[Term], session: Session, tolerance: float) -> R
     same = same_readings(observation)
     total, gamma, _ = _ridge(white, residual)
     left = observation.y - observation.of(total_displacement(terms, observation.scene))
-    level = level_of(observation, same, left - (columns @ gamma).reshape(-1, 3), total)
+    level = level_of(observation, same, left - (columns @ gamma).reshape(-1, 3), total) or Level(total)
     gamma, covariance = _posterior(white, residual, level.of_means(len(same) / len(np.unique(same))))
     seen = []
     for change in changes(terms, observation.scene):
@@ -176,7 +176,11 @@ def check(reference: Reference, session: Session, sizes: Mapping[str, float] | N
         white, columns = now.whiten(d.reshape(-1, 3)).ravel(), now.whiten(columns).reshape(B.shape)
         total, gamma, _ = _ridge(columns, white)
         left = (d - B @ gamma).reshape(-1, 3)
-        level = level_of(now, same, left, max(float(np.hypot(level.scatter, level.lasting)), total))
+        told = level_of(now, same, left, total)
+        if told is None:
+            level = Level(max(float(np.hypot(level.scatter, level.lasting)), total))
+        else:
+            level = Level(told.scatter, max(told.lasting, level.lasting))
     covariance = _covariance(reference, now, B, level, same)
     visible = {c.name for c in reference.changes}
     looked_for = [c for c in changes(terms, now.scene) if c.name in visible]

@@ -54,8 +54,10 @@ def places(observation: Observation) -> IntArray:
     return np.array([numbers[row] for row in at.tolist()], dtype=np.int64)
 
 
-def level_of(observation: Observation, same: IntArray, left: Array, total: float) -> Level:
-    """The two parts of the noise, from what a model leaves of the rows.
+def level_of(observation: Observation, same: IntArray, left: Array, total: float) -> Level | None:
+    """The two parts of the noise, from what a model leaves of the rows; None where too little was measured again to tell.
+
+    What comes again is what the total exceeds the scatter by, where that is more than the error of their difference.
 
     Args:
         same: of `same_readings`. left: measured minus predicted displacement, (m, 3), m. total: level of all of it.
@@ -64,7 +66,7 @@ def level_of(observation: Observation, same: IntArray, left: Array, total: float
     again = numbers[counts > 1]
     freedom = 3 * int((counts - 1).sum())
     if freedom < FEWEST_FREE:
-        return Level(total)
+        return None
     keep = np.isin(same, again)
     few = observation.only(keep)
     means = (same[keep][:, None] == again[None, :]).astype(np.float64)
@@ -72,7 +74,9 @@ def level_of(observation: Observation, same: IntArray, left: Array, total: float
     target = few.whiten(left[keep])
     of_means = np.linalg.lstsq(white, target, rcond=None)[0]
     scatter = float(np.linalg.norm(target - white @ of_means)) / np.sqrt(freedom)
-    return Level(scatter, float(np.sqrt(max(total**2 - scatter**2, 0.0))))
+    error = np.sqrt(2.0) * np.hypot(scatter**2 / np.sqrt(freedom), total**2 / np.sqrt(3.0 * len(same)))
+    lasting = total**2 - scatter**2
+    return Level(scatter, float(np.sqrt(lasting)) if lasting > error else 0.0)
 
 
 def covariance_of_rows(level: Level, own: Array, same: IntArray, times: Array | None = None) -> Array:
