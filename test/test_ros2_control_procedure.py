@@ -132,7 +132,7 @@ class Line:
     def _planned(self, command: MoveJoint | MoveLinear) -> Any:
         start = self.robot.commanded
         if isinstance(command, MoveLinear):
-            quat = Rotation.from_matrix(command.R_in_base).as_quat().tolist()
+            quat = Rotation.from_matrix(np.array(command.R_in_base)).as_quat().tolist()
             return self.planner.linear(start, command.p_in_base, quat, command.speed)
         position = [*command.q, *([] if command.rail is None else [command.rail])]
         return self.planner.joint(start, dict(zip(self.axes.driver, position, strict=False)), command.speed)

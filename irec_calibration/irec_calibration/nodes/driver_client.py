@@ -190,7 +190,7 @@ class DriverClient:
         goal = Move.Goal(kind=Move.Goal.LINEAR, speed=speed)
         goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = (float(v) for v in p)
         o = goal.pose.orientation
-        o.x, o.y, o.z, o.w = (float(v) for v in Rotation.from_matrix(R).as_quat())
+        o.x, o.y, o.z, o.w = (float(v) for v in Rotation.from_matrix(np.array(R)).as_quat())
         return self._do(goal, cancel_after)
 
     def _do(self, goal: Move.Goal, cancel_after: float | None) -> Answer:

@@ -100,7 +100,7 @@ class RobotLink:
             goal.kind = Move.Goal.LINEAR
             p, o = goal.pose.position, goal.pose.orientation
             p.x, p.y, p.z = (float(v) for v in command.p_in_base)
-            o.x, o.y, o.z, o.w = (float(v) for v in Rotation.from_matrix(command.R_in_base).as_quat())
+            o.x, o.y, o.z, o.w = (float(v) for v in Rotation.from_matrix(np.array(command.R_in_base)).as_quat())
         self._move_number += 1
         number = self._move_number
         accepted = self._node.guarded("action robot/move", lambda future: self._accepted(number, future))

@@ -153,7 +153,7 @@ class Ros2ControlDriver(GuardedNode):
         x = pose.pose.position
         x.x, x.y, x.z = (float(v) for v in at.p_tcp[0])
         o = pose.pose.orientation
-        o.x, o.y, o.z, o.w = (float(v) for v in Rotation.from_matrix(at.R_tool[0]).as_quat())
+        o.x, o.y, o.z, o.w = (float(v) for v in Rotation.from_matrix(np.array(at.R_tool[0])).as_quat())
         self._pose.publish(pose)
         now = self._now
         if now - self._ticked < 0.9 * self._period:

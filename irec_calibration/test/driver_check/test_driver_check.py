@@ -46,7 +46,7 @@ def observe(q_of: Callable[[np.ndarray], np.ndarray], begin: float, seconds: flo
     return Observation(
         {
             "joint_states": stream(slow, np.c_[q, np.full(len(slow), rail)], "", AXES.driver),
-            "tcp_pose": stream(slow, np.c_[at.p_tcp, Rotation.from_matrix(at.R_tool).as_quat()], "base_link"),
+            "tcp_pose": stream(slow, np.c_[at.p_tcp, Rotation.from_matrix(np.array(at.R_tool)).as_quat()], "base_link"),
             "wrench": stream(fast, noise, "tool0"),
             "wrench_raw": stream(fast, noise + np.c_[weight + BIAS, np.zeros((len(fast), 3))], "ft_sensor"),
             "tracker/point": stream(slow, point, STATION.name),
