@@ -140,6 +140,7 @@ class Line:
         report = self._folder / "check.json"
         report.unlink(missing_ok=True)
         settings = ["-p", f"cell:={CELL}", "-p", "use_sim_time:=true", "-p", f"report:={report}"]
+        settings += ["-p", "level:=moves"]  # it moves nothing where the passive level fails
         command = [sys.executable, "-m", "irec_calibration.nodes.check_driver", "--ros-args", *settings]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)

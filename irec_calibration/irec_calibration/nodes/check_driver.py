@@ -60,8 +60,10 @@ def run(node: GuardedNode) -> list[Item]:
     print(report(items), flush=True)
     if len(levels) > 1 and any(not item.passed for item in items):
         print("the robot is not moved while the passive level fails", flush=True)
-        return items
-    pose = read_poses(cell.poses_path, cell.serial, cell.robot.sha256).poses[0] if p["approach"] else None
+        levels = LEVELS[:1]
+    pose = None
+    if p["approach"] and len(levels) > 1:
+        pose = read_poses(cell.poses_path, cell.serial, cell.robot.sha256).poses[0]
     rail = pose.ext.get("rail", 0.0) if pose is not None else 0.0
     for level in levels[1:]:
         if pose is not None:

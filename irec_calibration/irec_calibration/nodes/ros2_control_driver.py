@@ -91,7 +91,7 @@ class Ros2ControlDriver(GuardedNode):
         self._simulated = bool(self.get_parameter("use_sim_time").value)
         self._period = 1.0 / p["rate"]
         self._ticked = self._state_sent = -1.0
-        self._state_told = time.monotonic()
+        self._state_told, self._state_stamp = time.monotonic(), 0  # s; ns
         self._stamp = 0.0  # of the newest joint states
         self._last_joints = self._now
         self._R_tool = np.eye(3)
@@ -198,7 +198,12 @@ class Ros2ControlDriver(GuardedNode):
             mode=r.mode, in_motion=r.in_motion, retreating=r.retreating, expired_leases=r.expired, message=r.message,
             offset=vector(r.offset[:3]), late_offsets=r.late_offsets,
         )  # fmt: skip
-        m.header.stamp, m.header.frame_id = self.get_clock().now().to_msg(), "base_link"
+        clock = self.get_clock().now().nanoseconds
+        if clock < self._state_stamp - 1_000_000_000:  # set back
+            self._state_stamp = 0
+        self._state_stamp = max(clock, self._state_stamp + 1000)  # newer than the one before, also where a simulated clock stands
+        m.header.stamp.sec, m.header.stamp.nanosec = divmod(self._state_stamp, 1_000_000_000)
+        m.header.frame_id = "base_link"
         self._state.publish(m)
         level = ERROR if r.mode == FAULT else WARN if r.message else OK
         mode = ("position", "force", "fault")[r.mode]

@@ -23,10 +23,8 @@ CELL = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
 LONGEST = 280.0  # s of the machine's clock
 
 
-def test_the_simulated_cell_passes_every_level(ros_domain: int, start_process: Start, tmp_path: Path) -> None:
-    cell = [sys.executable, "-m", "irec_sim.nodes.cell_node", "--ros-args", "-p", f"cell:={CELL}"]
-    start_process([*cell, "-p", "speed_factor:=1.0", "-p", "max_lead:=0.1"], name="cell")
-    report = tmp_path / "check.json"
+def passes_every_level(folder: Path) -> None:
+    report = folder / "check.json"
     settings = {
         "cell": CELL, "use_sim_time": "true", "report": report,
         "level": "pressing", "approach": "true", "surface_confirmed": "true",
@@ -40,3 +38,30 @@ def test_the_simulated_cell_passes_every_level(ros_domain: int, start_process: S
     assert not failed, "\n".join(failed)
     assert done.returncode == 0, done.stderr
     assert {item["level"] for item in items} == {"passive", "moves", "offset", "pressing"}
+
+
+def node(module: str, *arguments: str) -> list[str]:
+    return [sys.executable, "-m", module, "--ros-args", "-p", f"cell:={CELL}", *arguments]
+
+
+def test_the_simulated_cell_passes_every_level(ros_domain: int, start_process: Start, tmp_path: Path) -> None:
+    start_process(node("irec_sim.nodes.cell_node", "-p", "speed_factor:=1.0", "-p", "max_lead:=0.1"), name="cell")
+    passes_every_level(tmp_path)
+
+
+@pytest.mark.long
+def test_the_driver_for_ros2_control_passes_every_level(ros_domain: int, start_process: Start, tmp_path: Path) -> None:
+    from irec_calibration.commands.tool_load import parameter_file
+    from irec_calibration.sensors.tool_load import ToolLoad
+    from irec_sim.cellfile import read_cell as read_simulated
+
+    chain = read_simulated(CELL).chain
+    x, y, z = (float(v) for v in chain.tool_com)
+    load = ToolLoad(float(chain.tool_mass), (x, y, z), (18.0, -11.0, 25.0), (1.2, -0.8, 0.5))  # bias of the simulated sensor
+    weight = tmp_path / "tool_load.yaml"
+    weight.write_text(parameter_file(load, ("mass", "com", "bias_force", "bias_torque")), encoding="utf-8")
+    hardware = node("irec_sim.nodes.ros2_control_node", "-p", "speed_factor:=1.0", "-p", "max_lead:=0.1")
+    start_process(hardware, name="hardware")
+    driver = node("irec_calibration.nodes.ros2_control_driver", "--params-file", str(weight), "-p", "use_sim_time:=true")
+    start_process(driver, name="driver")
+    passes_every_level(tmp_path)
