@@ -258,11 +258,11 @@ def test_a_controller_whose_clock_began_anew_after_it_had_stopped_begins_at_zero
     np.testing.assert_allclose(link.held, FAR, atol=RESOLUTION)
 
 
-CLOCK_SET = [-10_000, -60, 60, 10_000]
+CLOCK_SET = [-10_000, -60, 60, 10_000]  # cycles
 
 
 @pytest.mark.parametrize("counting", COUNTINGS)
-@pytest.mark.parametrize("cycles", CLOCK_SET)
+@pytest.mark.parametrize("cycles", [*CLOCK_SET, 4, 6, 7, 8, 9, 10, 12, -4, -9])
 def test_a_clock_set_anew_in_a_session_that_goes_on_by_its_delay_goes_on_from_what_the_controller_holds(counting, cycles):
     link = Link(counting).run(100)
     link.ipoc += 4 * cycles

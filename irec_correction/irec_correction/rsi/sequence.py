@@ -266,7 +266,7 @@ class Sequence:
     def _after_silence(self, ipoc: int, delay: int | None, now: float) -> Action:
         """Packets were missing for longer than any time-out of the controller should be."""
         if self._answered is not None:
-            same = self._is_same_session(*self._answered, ipoc, delay)
+            same = self._is_same_session(*self._answered, ipoc, delay, now)
             if same:
                 return self._hold_when_sure(now)  # its time-out is longer
             if same is None and self._delays.rises and delay:
@@ -276,7 +276,7 @@ class Sequence:
 
     def _in_doubt(self, ipoc: int, delay: int | None, now: float) -> Action:
         """After a long gap: is this the session of the last answer?"""
-        same = None if self._answered is None else self._is_same_session(*self._answered, ipoc, delay)
+        same = None if self._answered is None else self._is_same_session(*self._answered, ipoc, delay, now)
         if same is None:
             if self._answered is not None:
                 self.problem = (
@@ -288,7 +288,7 @@ class Sequence:
         return self._hold_when_sure(now) if same else self._start_when_sure(now)
 
     def _while_starting(self, ipoc: int, delay: int | None, now: float) -> Action:
-        if self._answered is not None and self._is_same_session(*self._answered, ipoc, delay):
+        if self._answered is not None and self._is_same_session(*self._answered, ipoc, delay, now):
             return self._hold_when_sure(now)
         return self._start_when_sure(now)
 
@@ -321,9 +321,12 @@ class Sequence:
         self.sessions += 1
         return Action.START
 
-    def _is_same_session(self, ipoc_then: int, delay_then: int | None, ipoc: int, delay: int | None) -> bool | None:
+    def _is_same_session(self, ipoc_then: int, delay_then: int | None, ipoc: int, delay: int | None, now: float) -> bool | None:
         """Whether RSI has been running and counting since the last answer; None: can't be told."""
-        return self._delays.same_session(delay_then, delay, self._steps(ipoc_then, ipoc))
+        steps = self._steps(ipoc_then, ipoc)
+        if self._answered_at is not None:  # a clock that was set ahead has counted no cycles
+            steps = min(steps, round((now - self._answered_at) / self._cycle))
+        return self._delays.same_session(delay_then, delay, steps)
 
     def _complaint(self) -> str:
         return self._complaints.text(self._answered is not None and self._answered[1] is None)
