@@ -57,10 +57,6 @@ def look(node: Any, noise: dict[str, float], go_on: Callable[[], None]) -> Readi
         (JointState, "joint_states", on_joints),
         (RobotState, "robot/state", state.append),
     ]
-    for name, types in node.get_topic_names_and_types():
-        if "sensor_msgs/msg/Temperature" in types and "temperature/" in name:
-            listening.append((Temperature, name, _into(temperature, name.rpartition("/")[2])))
-
     def readings() -> Readings:
         last = state[-1] if state else None
         return Readings(
@@ -81,10 +77,14 @@ def look(node: Any, noise: dict[str, float], go_on: Callable[[], None]) -> Readi
     try:
         for kind, name, take in listening:
             ear.create_subscription(kind, name, take, sensors)
+        heard: set[str] = set()
         begun = time.monotonic()
         for end in (LOOK_SECONDS, 0.5 * (LOOK_SECONDS + LOOK_LONGEST), LOOK_LONGEST):
             while time.monotonic() - begun < end and node.context.ok():
                 go_on()
+                for name in _thermometers(node) - heard:  # again and again: a cell that was just switched on is found bit by bit
+                    heard.add(name)
+                    ear.create_subscription(Temperature, name, _into(temperature, name.rpartition("/")[2]), sensors)
                 executor.spin_once(timeout_sec=0.1)
             if enough_readings(readings(), noise):
                 break
@@ -92,6 +92,11 @@ def look(node: Any, noise: dict[str, float], go_on: Callable[[], None]) -> Readi
         executor.shutdown(timeout_sec=1.0)
         ear.destroy_node()
     return readings()
+
+
+def _thermometers(node: Any) -> set[str]:
+    topics = node.get_topic_names_and_types()
+    return {name for name, types in topics if "sensor_msgs/msg/Temperature" in types and "temperature/" in name}
 
 
 def _into(values: dict[str, list[float]], name: str) -> Callable[[Temperature], None]:

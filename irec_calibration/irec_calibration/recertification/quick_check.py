@@ -229,7 +229,7 @@ def _decide(
     looked_for: Sequence[Change], least: Array, z: Array, information: Array, poses: int, visits: int, last: bool
 ) -> QuickResult:
     """Decide from the scores z and informations of the changes, each at its size `least`."""
-    so_far = f"{visits} visits to {poses} poses"
+    so_far = f"{visits} visits to {poses} pose{'s' if poses > 1 else ''}"
     log_ratio = np.array([[k * z_ - 0.5 * k * k * i_ for k in SIZES] for z_, i_ in zip(z, information, strict=True)])
     e_value = float(np.exp(min(logsumexp(log_ratio) - np.log(log_ratio.size), 700.0)))
     ratio = {c.name: float(np.exp(min(r[0], 700.0))) for c, r in zip(looked_for, log_ratio, strict=True)}

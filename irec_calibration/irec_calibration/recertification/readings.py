@@ -188,8 +188,10 @@ def _rows_by_station(r: Readings) -> list[IntArray]:
 
 
 def _temperature(r: Readings, before: Session | None) -> Precondition:
-    if before is None or not before.temperature or not r.temperature:
-        return Precondition("temperature", True, "not compared: none was logged")
+    if before is None or not before.temperature:
+        return Precondition("temperature", True, "not compared: none was logged with the calibration in force")
+    if not r.temperature:
+        return Precondition("temperature", True, "not compared: no thermometer is heard now; the calibration in force had some")
     for name, now in r.temperature.items():
         then = before.temperature.get(name)
         if then is not None and np.isfinite(then).any() and now < float(np.nanmin(then)) - COLDER:

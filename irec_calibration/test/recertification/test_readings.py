@@ -57,6 +57,13 @@ def test_what_is_wrong_is_told_with_its_value(wrong: dict[str, object], name: st
     assert text in found[name]
 
 
+def test_thermometers_that_are_not_heard_are_told_though_they_keep_nobody() -> None:
+    told = {p.name: p for p in judged_readings(replace(GOOD, temperature={}), 2500.0, ["A"], MANNED, BEFORE, NOISE)}
+    assert told["temperature"].holds and "no thermometer is heard now" in told["temperature"].text
+    told = {p.name: p for p in judged_readings(GOOD, 2500.0, ["A"], MANNED, None, NOISE)}
+    assert told["temperature"].holds and "none was logged with the calibration" in told["temperature"].text
+
+
 @pytest.mark.parametrize("name", MANNED)
 def test_what_only_a_person_can_see_has_to_be_confirmed(name: str) -> None:
     found = problems(GOOD, tuple(n for n in MANNED if n != name))
