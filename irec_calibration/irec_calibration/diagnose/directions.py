@@ -180,12 +180,13 @@ def tilts(study: Study) -> Iterator[Direction]:
     on = ((scene.load_case > 0) if scene.kind == "loaded" else np.ones(len(scene), dtype=bool))[:, None, None].astype(float)
     across, moment = _scaled(scene.V, rows), scene.load_torque_virtual()
     whole = moment + (scene.gravity.tau_virtual if scene.kind == "loaded" else 0.0)
+    varies = "load_case" if len(np.unique(scene.load_case[rows])) > 1 else ""
     for i in range(moment.shape[1]):
         largest = float(np.abs(moment[rows, i]).max())
         if largest <= 1e-6:
             continue
         k, t = i // 2, moment[:, i] / largest
-        own, names = across[:, :, i : i + 1], ("load_case", f"tau_{k + 1}")
+        own, names = across[:, :, i : i + 1], (varies, f"tau_{k + 1}") if varies else (f"tau_{k + 1}", f"joint_{k + 1}")
         shape = np.stack([t**2, t * np.abs(t), t**3, np.tanh(5.0 * t)], axis=1)
         words = f"tilting the link of axis {k + 1} across it, by its moment"
         yield Direction(words, names, own * on * shape[:, None, :], is_tilt=True)
