@@ -60,7 +60,7 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
     ground = Ground(study.bench, study.base)
     trials = tuple(sorted((try_option(ground, o, study.ready) for o in found), key=lambda t: -t.log_evidence))
     singles: list[Explanation] = []
-    steps, evidence, near = [start], dict[str, float](), dict[str, list[str]]()
+    steps, evidence, near = [start], dict[str, float](), dict[str, dict[str, Explanation]]()
     closest, reason = None, ""
     while len(steps[-1].added) < settings.most_names:
         check()
@@ -74,7 +74,7 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
                 taken = one
                 evidence[one.ids[-1]] = odds
                 least = one.log_evidence - 2.0 * settings.nats_to_separate
-                near[one.ids[-1]] = [t.ids[-1] for t in tried if t is not one and t.log_evidence > least]
+                near[one.ids[-1]] = {t.ids[-1]: t for t in tried if t is not one and t.log_evidence > least}
                 break
             if closest is None or one.named > closest.named:
                 closest, reason = one, why

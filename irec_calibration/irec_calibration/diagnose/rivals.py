@@ -16,14 +16,18 @@ Check = Callable[[], None]
 
 
 def rivals_of(
-    start: Explanation, final: Explanation, near: dict[str, list[str]], found: Sequence[Option], family: Family, check: Check,
-    settings: Settings,
+    start: Explanation, final: Explanation, near: dict[str, dict[str, Explanation]], found: Sequence[Option], family: Family,
+    check: Check, settings: Settings,
 ) -> dict[str, tuple[tuple[str, float], ...]]:  # fmt: skip
-    """Which other effects would do in the place of each added one, everything refitted."""
+    """Which other effects would do in the place of each added one, everything refitted.
+
+    Args:
+        near: added effect -> effects that were about as good when it came in, each with its explanation then.
+    """
     out = {}
     by_id = {o.effect.id: o for o in found}
     for term in final.added:
-        others = [i for i in near.get(term.effect.id, []) if i not in final.ids]
+        others = {i: e for i, e in near.get(term.effect.id, {}).items() if i not in final.ids}
         if not others:
             continue
         check()
@@ -33,10 +37,12 @@ def rivals_of(
         forms = forms_of(term, final.study.ready)
         whole = _without_forms(final, family, forms)
         same = []
-        for other in others:
+        for other, then in others.items():
             one = explain(start, bare, try_option(ground, by_id[other], rest.ready), family)
             if one is None or implausible(one, other):  # no value that can be is no rival
                 continue
+            if set(then.ids) == set(one.ids):  # beside it the shapes of the others may have been better than beside the one named
+                one = max(one, then, key=lambda e: e.log_evidence)
             own_forms = forms_of(one.term(other), one.study.ready)
             own = _without_forms(one, family, own_forms) - _without_forms(bare, family, own_forms)
             if own < settings.nats_to_prefer:  # what has no name explains it there, not this effect
