@@ -23,7 +23,7 @@ setup(
                                         "config/nodes/recorder.yaml"]),
     ],
     install_requires=[
-        "numpy>=1.26,<3", "scipy>=1.13", "pin>=2.7", "PyYAML>=6.0", "jsonschema>=4.10", "mcap>=1.2", "mcap-ros2-support>=0.5.5",
+        "numpy>=1.26,<3", "scipy>=1.11", "pin>=2.7", "PyYAML>=6.0", "jsonschema>=4.10", "mcap>=1.2", "mcap-ros2-support>=0.5.5",
         "lz4>=4.3", "zstandard>=0.22",
     ],
     extras_require={'report': ['matplotlib>=3.8', 'jinja2>=3.1'], 'ml': ['scikit-learn>=1.5'], 'mesh': ['trimesh>=4.4'],
