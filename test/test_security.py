@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # calibration_node opens its listener only while it looks; tf2_msgs is not among the wheels of the test environment
 NOT_TRIED = {"calibration_node_listener", *(() if importlib.util.find_spec("tf2_msgs") else ("tf_node",))}
-START = 120.0  # s for all processes to come up on a busy machine
+START = 240.0  # s for all processes to come up on a busy machine
 LOOPBACK = "0100007F"  # 127.0.0.1 in /proc/net
 DDS_PORTS = range(7400, 7400 + 250 * 102)  # of the domains that a machine can use
 EPHEMERAL = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])

@@ -57,6 +57,7 @@ def read_rsi(folder: Path) -> None:
             data = data.replace(NO_DELAY, NO_DELAY.replace(b"0", str(unanswered).encode()))  # a controller counts
             stamp = stamp_of(data[:4096])
             if stamp is None:
+                unanswered += 1
                 continue
             reply = session.reply(*stamp, now)
             unanswered += reply is None
