@@ -108,6 +108,7 @@ class Sequence:
             is_fresh: the socket that it comes from was silent before for RESTART cycles or more.
         """
         self._now = now
+        self._delays.hear(delay)
         if self._answered_at is None:
             self._answered_at = now
         if self.newest is None:
@@ -135,6 +136,7 @@ class Sequence:
     def gave(self, ipoc: int, delay: int | None, answer: Answer) -> None:
         """Such an answer was sent to such a packet."""
         self._answered, self._answered_at = (ipoc, delay), self._now
+        self._delays.answered()
         if answer is not self.sent:
             self.before, self.sent = self.sent, answer
 
