@@ -110,7 +110,7 @@ def assess(
         evidence.append("held_out_structure")
     if flexible.significant:
         evidence.append("flexible_regression")
-    if _put_aside(study, rest) > settings.most_put_aside:
+    if len(rest.bad_rows) >= settings.several and _put_aside(study, rest) > settings.most_put_aside:
         evidence.append("readings_that_stand_out")
     one_of, names = [], []
     for i in final.ids:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import legendre
 
+from ..effects.scene import Scene
 from ..typing import Array, IntArray
 from .study import Study
 
@@ -81,11 +82,17 @@ def _scaled(columns: Array, rows: IntArray) -> Array:
     return columns * (TYPICAL_DISPLACEMENT / max(float(size), 1e-300))
 
 
+def _under_load(scene: Scene) -> Array:
+    """1 in the rows in which a process force acts, in all rows of an absolute session, else 0, (n, 1, 1)."""
+    acts = scene.load_case > 0 if scene.kind == "loaded" else np.ones(len(scene), dtype=bool)
+    return np.asarray(acts[:, None, None], dtype=float)
+
+
 def directions(study: Study) -> Iterator[Direction]:
     """Directions along which a structure may act: words, variables that they bring along, columns (n, 3, d) in m."""
     scene = study.ready
     rows = study.observation.rows
-    on = ((scene.load_case > 0) if scene.kind == "loaded" else np.ones(len(scene), dtype=bool))[:, None, None].astype(float)
+    on = _under_load(scene)
     tau = scene.load_torque()
     yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
@@ -115,7 +122,7 @@ def shaped(study: Study) -> Iterator[Direction]:
 def two_variables(study: Study) -> Iterator[Direction]:
     """Functions of two variables that turn one axis: torque with its own angle, gravity, history, or another torque."""
     scene, rows = study.ready, study.observation.rows
-    angle = _scaled(scene.J * ((scene.load_case > 0)[:, None, None] if scene.kind == "loaded" else 1.0), rows)
+    angle = _scaled(scene.J * _under_load(scene), rows)
     tau = scene.load_torque()
     size = np.maximum(np.abs(tau[rows]).max(axis=0), 1e-9)
     t = tau / size
@@ -177,16 +184,17 @@ def two_variables(study: Study) -> Iterator[Direction]:
 def tilts(study: Study) -> Iterator[Direction]:
     """A link that tilts across its axis by any curve of the moment about that direction: what a worn bearing does, for one."""
     scene, rows = study.ready, study.observation.rows
-    on = ((scene.load_case > 0) if scene.kind == "loaded" else np.ones(len(scene), dtype=bool))[:, None, None].astype(float)
+    on = _under_load(scene)
     across, moment = _scaled(scene.V, rows), scene.load_torque_virtual()
     whole = moment + (scene.gravity.tau_virtual if scene.kind == "loaded" else 0.0)
-    varies = "load_case" if len(np.unique(scene.load_case[rows])) > 1 else ""
+    several = len(np.unique(scene.load_case[rows])) > 1
     for i in range(moment.shape[1]):
         largest = float(np.abs(moment[rows, i]).max())
         if largest <= 1e-6:
             continue
         k, t = i // 2, moment[:, i] / largest
-        own, names = across[:, :, i : i + 1], (varies, f"tau_{k + 1}") if varies else (f"tau_{k + 1}", f"joint_{k + 1}")
+        own, tau = across[:, :, i : i + 1], f"tau_{k + 1}"
+        names = ("load_case", tau) if several else (tau, f"joint_{k + 1}")
         shape = np.stack([t**2, t * np.abs(t), t**3, np.tanh(5.0 * t)], axis=1)
         words = f"tilting the link of axis {k + 1} across it, by its moment"
         yield Direction(words, names, own * on * shape[:, None, :], is_tilt=True)
@@ -203,7 +211,7 @@ def plain(study: Study) -> Iterator[Direction]:
     by_torque = scene.response.compliance[:, :, 3:]
     beside = np.stack([np.einsum("nij,nj->ni", by_torque, np.cross(e, scene.force_in_tool)) for e in np.eye(3)], axis=2)
     yield Direction("as if the force acted beside the TCP", ("load_case", f"tau_{scene.n_joints}"), _scaled(beside, rows))
-    on = ((scene.load_case > 0) if scene.kind == "loaded" else np.ones(len(scene), dtype=bool))[:, None, None].astype(float)
+    on = _under_load(scene)
     yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
     if scene.kind == "loaded" and np.any(scene.previous >= 0):

@@ -113,7 +113,11 @@ class Settings(Thresholds):
     )  # fmt: skip
     most_put_aside: float = threshold(
         0.1, "share of readings", "that stand out and count for nothing, above which something systematic is behind them",
-        "heavy tails of trackers put one reading in twelve aside at most",
+        "more than the tails of an instrument: one reading in ten beyond them is a second instrument, or a cause",
+    )  # fmt: skip
+    several: int = threshold(
+        3, "rows, references or poses", "that stand out at least, before their share says anything",
+        "one or two are bad luck in a session of any length",
     )  # fmt: skip
     share_of_form: float = threshold(
         0.03, "share of evidence", "of the nonparametric structures that a name replaces, that it must bring more than they do",

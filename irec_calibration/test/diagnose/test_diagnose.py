@@ -188,6 +188,15 @@ def test_a_session_of_which_a_fifth_stands_out_is_not_adequate() -> None:
     assert verdict.evidence == ("readings_that_stand_out",)
 
 
+def test_one_bad_pose_of_a_short_session_is_listed_and_is_no_cause() -> None:
+    clean = synthetic.session(poses=6, seed=5)
+    rng = np.random.default_rng(3)
+    marker = clean.p_marker_in_station + rng.normal(0.0, 4e-4, (len(clean), 3)) * (clean.pose == 3)[:, None]
+    verdict = diagnose(replace(clean, p_marker_in_station=marker)).verdict  # of 36 readings 5 are bad, but of one pose
+    assert verdict.status == "adequate", verdict.text
+    assert "pose 3" in verdict.text
+
+
 @pytest.mark.slow
 def test_two_causes_are_named_together() -> None:
     def both(scene: Scene) -> Array:
