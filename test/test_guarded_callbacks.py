@@ -56,6 +56,20 @@ def test_everything_that_ros_calls_is_guarded(find) -> None:
     assert found == []
 
 
+def _moves_kept_too_long(tree: ast.AST) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and _name(node.func) == "ActionServer" and _name(node.args[1]) == "Move":
+            if "RESULT_KEPT" not in [_name(k.value) for k in node.keywords if k.arg == "result_timeout"]:
+                yield f"ActionServer in line {node.lineno}"
+
+
+def test_every_driver_forgets_moves_that_have_ended() -> None:
+    """Hundreds an hour: with the 900 s of rclpy memory and messages grow (`irec_ros.moves`)."""
+    found = [f"{p.relative_to(ROOT)}: {what}" for p in SOURCES for what in _moves_kept_too_long(ast.parse(p.read_text()))]
+    assert found == []
+    assert list(_moves_kept_too_long(ast.parse("ActionServer(n, Move, 'a', result_timeout=900)")))
+
+
 def test_what_is_not_guarded_is_found() -> None:
     nodes = "class A(Node): ...\nclass B(Guarded, Node): ...\n"
     tree = ast.parse(f"{nodes}ActionServer(n, T, 'a', execute_callback=self.f)\nf.add_done_callback(g)")

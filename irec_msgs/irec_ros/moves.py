@@ -7,6 +7,10 @@ from rclpy.action.server import ServerGoalHandle
 
 from irec_msgs.action import Move
 
+# s of the driver's clock for which it remembers a move that has ended. Each change of a move publishes all that are remembered:
+# with the 900 s of rclpy these messages, and what both sides keep room for, grow with every move of a quarter of an hour
+RESULT_KEPT = 10
+
 
 def answer_move(handle: ServerGoalHandle, fraction: float, problem: str) -> Move.Result:
     """Close the goal and say how it ended.

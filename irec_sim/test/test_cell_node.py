@@ -8,6 +8,7 @@ import math
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
 pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`")
 
+from action_msgs.msg import GoalStatusArray
 from cell_client import Client, client, seconds
 from irec_sim.cellfile import read_cell
 from irec_sim.course import plan_course
@@ -137,6 +139,26 @@ def test_a_move_to_an_unknown_joint_is_aborted_with_the_names_of_the_joints(cell
     assert answer.status == ABORTED
     assert "joint_9" in answer.result.message
     assert "joint_6" in answer.result.message
+
+
+def test_moves_that_have_ended_are_forgotten(ros_domain: int, start_process: Start) -> None:
+    """Each change of a move publishes all moves that are remembered: their number must not grow for hours."""
+    short = "import irec_ros.moves as moves; moves.RESULT_KEPT = 1; from irec_sim.nodes.cell_node import main; main()"
+    start_process([sys.executable, "-c", short, *cell_arguments()[3:]], name="cell")
+    with client() as cell:
+        told: list[GoalStatusArray] = []
+        cell.node.create_subscription(GoalStatusArray, "robot/move/_action/status", told.append, 100)
+        cell.wait_for_cell()
+        refused = Move.Goal(joint_names=["joint_9"], joint_position=[0.0], speed=0.5)
+        for _ in range(5):
+            assert cell.end_of(cell.start_move(refused)).status == ABORTED
+        cell.wait(lambda: told and len(told[-1].status_list) > 1, "status of several moves")
+        since = time.monotonic()
+        cell.wait(lambda: time.monotonic() > since + 2.5, "time")  # it looks every second
+        told.clear()
+        assert cell.end_of(cell.start_move(refused)).status == ABORTED
+        cell.wait(lambda: told, "status of the last move")
+        assert len(told[-1].status_list) == 1
 
 
 def test_a_second_move_is_refused_and_the_first_goes_on(cell: Client) -> None:

@@ -8,7 +8,6 @@ robot is checked here, before an offset is made of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,16 +16,12 @@ from ..effects import Parameter
 from ..effects.scene import Scene
 from ..errors import ModelError
 from ..robot import Robot
-from ..typing import Array
 from .file import check_belongs
+from .largest import Predict, largest_prediction
 from .model import Envelope, Model, Term
 
-# translation of the TCP (3,), m, for joint angles (k,), rad, and force and torque (3,) at the TCP in tool0, N and N m
-Predict = Callable[[Array, Array, Array], Array]
 # m; ten times the largest deviation of the paper's robots (2.05 mm): a wrong unit is beyond it, a soft robot is not
 LARGEST_OFFSET = 0.02
-POSES = 48  # over the envelope
-SEED = 1
 LARGEST_FORCE, LARGEST_TORQUE = 1e5, 1e5  # N, N m; of a load that an envelope can speak of
 ELASTIC_UNITS = ("rad/(N m)", "m/N", "rad/N", "1/N")
 
@@ -36,7 +31,7 @@ class Plausible:
     """What was found of a model that may come into force.
 
     Attributes:
-        largest_offset: over its envelope at the largest load that it was identified with, m.
+        largest_offset: over its envelope, under the largest load that it was identified with in any direction, m.
     """
 
     largest_offset: float
@@ -72,7 +67,7 @@ def check_plausible(
             raise ModelError("the model does not say in which range it was identified ('envelope'); identify it again")
         return Plausible(math.nan)
     check_envelope(model.envelope, robot)
-    return Plausible(_largest_offset(model.envelope, robot, predict, largest_offset))
+    return Plausible(largest_prediction(model.envelope, robot, predict, largest_offset))
 
 
 def check_identity(model: Model, robot: Robot, serial: str, tool: str = "") -> None:
@@ -133,27 +128,3 @@ def _bounds(parameter: Parameter, known: bool) -> tuple[float, float, str]:
         return parameter.lower, parameter.upper, "is physically possible"
     low, high = parameter.plausible
     return max(low, parameter.lower), min(high, parameter.upper), "is plausible for a robot of these torque ratings"
-
-
-def _largest_offset(envelope: Envelope, robot: Robot, predict: Predict, limit: float) -> float:
-    low = np.maximum(np.array(envelope.q_lower), np.where(np.isfinite(robot.lower), robot.lower, -np.pi))
-    high = np.minimum(np.array(envelope.q_upper), np.where(np.isfinite(robot.upper), robot.upper, np.pi))
-    high = np.maximum(low, high)
-    poses = low + np.random.default_rng(SEED).random((POSES, robot.n_joints)) * (high - low)
-    largest = 0.0
-    for q in np.vstack([0.5 * (low + high), poses]):
-        for axis in np.eye(3):
-            # what a force along an axis and a torque about it add up to at most
-            u = [predict(q, envelope.force * axis, np.zeros(3)), predict(q, np.zeros(3), envelope.torque * axis)]
-            if not np.all(np.isfinite(u)):
-                where = np.round(q, 3).tolist()
-                raise ModelError(f"the model predicts {np.sum(u, axis=0).tolist()} m at joint angles {where} rad")
-            length = float(np.linalg.norm(u, axis=1).sum())
-            if length > limit:
-                raise ModelError(
-                    f"the model predicts a deflection of {length * 1e3:.3g} mm at joint angles {np.round(q, 3).tolist()} rad "
-                    f"under {envelope.force:g} N and {envelope.torque:g} N m, the largest load that it was identified with; "
-                    f"{limit * 1e3:g} mm is the limit (parameter predicted_limit)"
-                )
-            largest = max(largest, length)
-    return largest

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import TransformStamped, WrenchStamped
-from irec_ros.moves import answer_move
+from irec_ros.moves import RESULT_KEPT, answer_move
 from rclpy.action import ActionServer, CancelResponse
 from scipy.spatial.transform import Rotation
 from std_srvs.srv import Trigger
@@ -40,7 +40,7 @@ class DriverCommands:
         self._action = ActionServer(
             node, Move, "robot/move", execute_callback=node.guarded("action robot/move", self._answer_move),
             handle_accepted_callback=node.guarded("goal of robot/move", self._accepted),
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            cancel_callback=lambda _: CancelResponse.ACCEPT, result_timeout=RESULT_KEPT,
         )  # fmt: skip
 
     # --- moves ------------------------------------------------------------------------------------------------------------

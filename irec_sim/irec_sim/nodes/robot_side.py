@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_ros.guard import GuardedNode
-from irec_ros.moves import answer_move
+from irec_ros.moves import RESULT_KEPT, answer_move
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -71,6 +71,7 @@ class RobotSide:
             execute_callback=node.guarded("action robot/move", self._answer_move, _not_answered),
             handle_accepted_callback=node.guarded("goal of robot/move", self._accepted, self._not_begun),
             cancel_callback=lambda _: CancelResponse.ACCEPT,
+            result_timeout=RESULT_KEPT,
         )
         node.create_service(SetControlMode, "robot/set_control_mode", self._on_mode)
         node.create_subscription(WrenchStamped, "robot/force_setpoint", self._on_force, depth)
