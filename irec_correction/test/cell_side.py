@@ -105,7 +105,7 @@ class CellSide:
         self.context.try_shutdown()
 
 
-def afp_model(folder: Path, serial: str = "KR120-0001") -> str:
+def afp_model(folder: Path, serial: str = "KR120-0001", tool: str = "") -> str:
     """Path of a model of the cell's robot."""
     sha = read_cell(CELL).robot.sha256
-    return str(save_model(replace(model(), serial=serial, urdf_sha256=sha), folder / f"{serial}.yaml"))
+    return str(save_model(replace(model(), serial=serial, urdf_sha256=sha, tool=tool), folder / f"{serial}.yaml"))

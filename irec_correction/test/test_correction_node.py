@@ -19,9 +19,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.alone]
 
 
 @pytest.fixture
-def cell_side(ros_domain, start_process):
+def cell_side(ros_domain, start_process, tmp_path):
     start_process([
-        sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
+        sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={with_tool(tmp_path)}",
         "-p", "autostart:=true", "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0",
         "-p", "filter.cutoff:=20.0", "-p", "output:=both",
     ], name="correction")  # fmt: skip
@@ -30,12 +30,23 @@ def cell_side(ros_domain, start_process):
     side.close()
 
 
+def with_tool(folder):
+    """The cell file, with a name for the tool."""
+    path = folder / "cell.yaml"
+    text = CELL.read_text().replace("../robots/", f"{CELL.parent.parent / 'robots'}/")
+    path.write_text(text.replace("\ntool:\n", "\ntool:\n  name: roller\n"))
+    return path
+
+
 def test_activated_node_streams_minus_the_deflection_and_fades_out_when_the_sensor_dies(cell_side, tmp_path):
     refused = cell_side.activate(afp_model(tmp_path, serial="SOMEONE-ELSE"))
     assert not refused.success and "SOMEONE-ELSE" in refused.message
     refused = cell_side.activate(str(tmp_path / "missing.yaml"))
     assert not refused.success and "missing.yaml" in refused.message
-    answer = cell_side.activate(afp_model(tmp_path))
+    for tool in ("", "spindle"):  # the cell file names another
+        refused = cell_side.activate(afp_model(tmp_path, tool=tool))
+        assert not refused.success and "'roller' is mounted" in refused.message
+    answer = cell_side.activate(afp_model(tmp_path, tool="roller"))
     assert answer.success, answer.message
     cell_side.until(lambda: cell_side.states and cell_side.states[-1].state == 2, what="ACTIVE")
     assert cell_side.states[-1].model_sha256 == answer.sha256

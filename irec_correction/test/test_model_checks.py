@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -89,6 +90,7 @@ IMPLAUSIBLE = {
     "another serial": (put("S-2", "robot", "serial"), "'S-2'"),
     "another hash": (put("0" * 64, "robot", "urdf_sha256"), "another robot description"),
     "another tool": (put("spindle", "robot", "tool"), "'spindle'"),
+    "no tool": (put("", "robot", "tool"), "'roller' is mounted; identify it again from a session with 'tool: roller'"),
     "NaN envelope": (put(NAN, "envelope", "q_lower", 0), "q_lower"),
     "envelope of five": (put([0.0] * 5, "envelope", "q_lower"), "q_lower"),
     "envelope turned round": (put([9.0] * 6, "envelope", "q_lower"), "q_lower"),
@@ -140,6 +142,11 @@ def test_where_the_ratings_are_unknown_the_predicted_offset_is_the_bound(tmp_pat
 def test_a_limit_of_the_cell_for_the_predicted_offset_is_kept(tmp_path):
     with pytest.raises(ActivationError, match=r"0\.1 mm is the limit"):
         read_checked(written(tmp_path), replace(MOUNTED, largest_offset=1e-4))
+
+
+def test_where_the_mounted_tool_is_not_known_that_of_the_model_is_not_looked_at(tmp_path):
+    for tool in ("roller", ""):
+        assert read_checked(written(tmp_path, put(tool, "robot", "tool")), replace(MOUNTED, tool="")).largest_offset > 0.0
 
 
 def test_a_robot_without_a_serial_takes_no_model(tmp_path):
@@ -194,7 +201,7 @@ def test_whatever_is_changed_in_a_model_it_is_accepted_as_plausible_or_refused_w
         for at, value in changes:
             places = list(_places(data))
             holder, key = places[at % len(places)]
-            holder[key] = value
+            holder[key] = copy.deepcopy(value)  # one and the same list twice could come to hold itself
 
     try:
         checked = read_checked(written(tmp_path, change), MOUNTED)

@@ -161,6 +161,8 @@ def test_the_service_checks_robot_and_tool_and_the_node_tells_wrench_deflection_
 
     refused = activate(model_of_cell(tmp_path, "other_tool", tool="roller"))
     assert not refused.success and "'roller'" in refused.message and "'spindle'" in refused.message
+    refused = activate(model_of_cell(tmp_path, "no_tool"))
+    assert not refused.success and "'spindle' is mounted" in refused.message
     answer = activate(model_of_cell(tmp_path, tool="spindle"))
     assert answer.success, answer.message
     expected, _ = Deflection(model(), ROBOT)(Q, WRENCH[:3], WRENCH[3:], PERIOD)

@@ -80,6 +80,11 @@ class Cell:
     poses_path: Path
     raw: dict[str, Any]
 
+    @property
+    def tool_name(self) -> str:
+        """Of the mounted tool; empty where the file does not name it."""
+        return str(self.raw["tool"].get("name") or "")
+
     def base_in_cell(self, rail: Array) -> Array:
         """Position of base_link in the cell frame for rail positions (n,), shape (n, 3), m."""
         if self.rail is None:

@@ -51,7 +51,7 @@ def check_plausible(
     """Refuse a model that does not belong here or can't be true.
 
     Args:
-        serial: of the robot. tool: that is mounted; empty: not known.
+        serial: of the robot. tool: that is mounted; empty: not known, then that of the model is not looked at.
         scene: of this robot, from which effects tell the bounds of their parameters.
         predict: deflection by the model.
         largest_offset: m, that a prediction over the envelope may reach.
@@ -71,14 +71,19 @@ def check_plausible(
 
 
 def check_identity(model: Model, robot: Robot, serial: str, tool: str = "") -> None:
-    """Serial, robot description and, where both are named, the tool. Raises ModelError."""
+    """Serial, robot description and, where it is known which one is mounted, the tool. Raises ModelError."""
     if not serial:
         raise ModelError("the serial of this robot is not known; name it (cell file: robot: serial, or parameter robot_serial)")
     for name, value in (("serial", model.serial), ("urdf_sha256", model.urdf_sha256)):
         if not value:
             raise ModelError(f"the model does not say to which robot it belongs (robot: {name} is empty); identify it again")
     check_belongs(model, robot, serial, "this cell")
-    if model.tool and tool and model.tool != tool:
+    if tool and not model.tool:
+        raise ModelError(
+            f"the model does not say with which tool it was identified (robot: tool is empty), '{tool}' is mounted; identify it "
+            f"again from a session with 'tool: {tool}', or write that under 'robot:' in the model file if it was this tool"
+        )
+    if tool and model.tool != tool:
         raise ModelError(f"the model was identified with tool '{model.tool}', '{tool}' is mounted")
 
 

@@ -39,7 +39,7 @@ class RecertificationServer:
     def __init__(self, node: GuardedNode, cell: Cell, folder: Path, group: Any, predicted_limit: float) -> None:
         """predicted_limit: m, that a model may predict over its envelope before it is put in force."""
         self._node, self._cell = node, cell
-        tool = Tool(str(cell.raw["tool"].get("name", "")), cell.payload, cell.marker_in_tool)
+        tool = Tool(cell.tool_name, cell.payload, cell.marker_in_tool)
         operators = tuple(str(name) for name in cell.raw.get("operators", ()))
         self.place = Place(cell.name, cell.robot, cell.serial, cell.tolerance, read_acceptance(cell), tool, operators)
         self.store = Store(folder, cell.serial)

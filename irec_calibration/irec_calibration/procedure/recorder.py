@@ -38,8 +38,8 @@ def session_header(cell: Cell, name: str, order_seed: int | None = None) -> dict
         "load_case_names": dict(enumerate(LOAD_CASE_NAMES, 1)),
         "sensor_axis_in_tool": [float(v) for v in sensor.vector("axis_in_tool0", 3)],
     }
-    if cell.raw["tool"].get("name"):
-        header["tool"] = str(cell.raw["tool"]["name"])
+    if cell.tool_name:
+        header["tool"] = cell.tool_name
     if order_seed is not None:
         header["load_case_order"] = {"seed": order_seed, "drawn": ORDER}
     if cell.payload.mass > 0.0:

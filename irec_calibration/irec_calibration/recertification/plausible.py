@@ -35,7 +35,9 @@ def check_before_force(path: str | Path, cell: Cell, largest_offset: float = LAR
 
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused by name
-            return check_plausible(model, cell.robot, cell.serial, scene, predict, largest_offset=largest_offset)
+            return check_plausible(
+                model, cell.robot, cell.serial, scene, predict, tool=cell.tool_name, largest_offset=largest_offset
+            )
     except IrecError as error:
         raise ModelError(f"{path}: {error}") from error
     except Exception as error:  # effects of users are evaluated

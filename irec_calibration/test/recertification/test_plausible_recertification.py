@@ -71,9 +71,14 @@ def test_the_worst_directions_are_the_worst_of_all() -> None:
     assert np.all(np.linalg.norm(u, axis=1) >= drawn) and np.all(np.linalg.norm(u, axis=1) < 1.1 * drawn)
 
 
-def test_a_model_of_another_robot_or_without_an_envelope_is_refused(tmp_path: Path) -> None:
+def test_a_model_of_another_robot_or_tool_or_without_an_envelope_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="other"):
         check_before_force(save_model(model(serial="other"), tmp_path / "other.yaml"), CELL)
+    roller = replace(CELL, raw={**CELL.raw, "tool": {**CELL.raw["tool"], "name": "roller"}})
+    for tool in ("", "spindle"):
+        with pytest.raises(ModelError, match="'roller' is mounted"):
+            check_before_force(save_model(replace(model(), tool=tool), tmp_path / "tool.yaml"), roller)
+    assert check_before_force(save_model(replace(model(), tool="roller"), tmp_path / "tool.yaml"), roller).largest_offset > 0.0
     with pytest.raises(ModelError, match="envelope"):
         check_before_force(save_model(replace(model(), envelope=None), tmp_path / "none.yaml"), CELL)
 

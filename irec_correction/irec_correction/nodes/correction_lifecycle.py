@@ -102,7 +102,7 @@ class CorrectionNode(Managed):
     def configure(self) -> None:
         """Build the chain and put the stated model in force. Raises IrecError."""
         p = self._p
-        robot, serial, payload, axes = self._robot_and_serial()
+        robot, serial, tool, payload, axes = self._mounted_robot()
         raw = bool(p["raw_wrench"])
         frame = str(p["sensor_frame"]) if raw else "tool0"
         gravity = p.three("gravity")
@@ -117,7 +117,7 @@ class CorrectionNode(Managed):
             if rail == RAIL and len(axes.driver) > robot.n_joints:
                 rail = axes.driver[robot.n_joints]
         self._robot, self._period = robot, settings.period
-        self._mounted = Mounted(robot, serial, str(p["tool"]), gravity, payload, settings.period, p["predicted_limit"],
+        self._mounted = Mounted(robot, serial, tool, gravity, payload, settings.period, p["predicted_limit"],
                                 settings.need_envelope, recorded_rail.removeprefix("ext_"))  # fmt: skip
         self._chain_clock = ChainClock(self)
         self._correction = Correction(settings, robot, conditioner)
@@ -139,14 +139,16 @@ class CorrectionNode(Managed):
             self._compare_robot(self._described)
         self._offer(raw)
 
-    def _robot_and_serial(self) -> tuple[Robot, str, Payload | None, Axes | None]:
+    def _mounted_robot(self) -> tuple[Robot, str, str, Payload | None, Axes | None]:
+        """Robot, its serial, name of the tool, payload, axes."""
         p = self._p
         if p["cell"]:
             cell = read_cell(p["cell"])
-            return cell.robot, str(p["robot_serial"]) or cell.serial, cell.payload, read_axes(cell)
+            serial, tool = str(p["robot_serial"]) or cell.serial, str(p["tool"]) or cell.tool_name
+            return cell.robot, serial, tool, cell.payload, read_axes(cell)
         if self._described is None:
             raise SettingsError("neither parameter 'cell' nor a message on robot_description says which robot this is")
-        return Robot(self._described, "robot_description"), str(p["robot_serial"]), None, None
+        return Robot(self._described, "robot_description"), str(p["robot_serial"]), str(p["tool"]), None, None
 
     def _chain(self) -> Correction:
         if self._correction is None:

@@ -20,7 +20,7 @@ from ..watchdog import WatchdogSettings
 CORRECTION = (
     P("cell", "", "cell file (irec-cell/1): robot, serial, sensor; empty: robot_description and robot_serial"),
     P("robot_serial", "", "serial of the robot, checked against the model; empty: from the cell file"),
-    P("tool", "", "name of the mounted tool, checked against the model where both are named"),
+    P("tool", "", "name of the mounted tool; empty: that of the cell file. A model of another one, or of none, is refused"),
     P("model_path", "", "model.yaml to be put in force when configuring; empty: wait for activate_model"),
     P("calibrations", "", "calibrations beside the cell file, to take the one in force; empty: not looked for"),
     P("autostart", False, "configure without a lifecycle manager; activate with a model of model_path or activate_model"),

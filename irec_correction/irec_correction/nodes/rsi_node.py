@@ -91,8 +91,8 @@ class RsiNode(Managed):
             self._pass_on_refusal,
         )  # fmt: skip
         self._mounted = Mounted(
-            self._cell.robot, self._serial, str(p["tool"]), p.three("gravity"), self._cell.payload, 1e-3 * p["cycle_ms"],
-            p["predicted_limit"], p["need_envelope"], str(p["rail_joint"]).removeprefix("ext_"),
+            self._cell.robot, self._serial, str(p["tool"]) or self._cell.tool_name, p.three("gravity"), self._cell.payload,
+            1e-3 * p["cycle_ms"], p["predicted_limit"], p["need_envelope"], str(p["rail_joint"]).removeprefix("ext_"),
         )  # fmt: skip
         self._blocks += [self._inputs.wrench, self._inputs.offset]
         names = list(self._cell.robot.joint_names)
