@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hard plant of the first case study stays where the paper's real cell was, on a few courses."""
+"""The hard plants of both case studies stay where the paper's real cells were, on a few courses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tools"))
 
 from case_parts import calibrated  # noqa: E402
-from case_parts.jobs import Case, Job, corrected  # noqa: E402
+from case_parts.jobs import Case, Job, corrected, filters_of  # noqa: E402
 from case_parts.moving import moving_session  # noqa: E402
 from case_parts.story import courses_of  # noqa: E402
 from case_parts.table import Figures, figures, outside_bands  # noqa: E402
@@ -27,14 +27,16 @@ from irec_calibration.session import read_session  # noqa: E402
 from irec_sim.cellfile import CellFile  # noqa: E402
 from irec_sim.cellfile import read_cell as read_sim_cell  # noqa: E402
 from irec_sim.errors import SimError  # noqa: E402
+from irec_sim.plant import Plant  # noqa: E402
 from irec_sim.production.hard import CAUSES, Hard, read_hard, without  # noqa: E402
+from irec_sim.production.modes import modes_of_cell  # noqa: E402
 from irec_sim.production.runner import Drive, drive  # noqa: E402
 from irec_sim.production.tap import shake  # noqa: E402
 from irec_sim.production.ways import PERIOD, Ways, make_ways  # noqa: E402
 
 from irec_calibration import diagnose  # noqa: E402
 
-COURSES = {"afp": (4, 8, 24, 28)}
+COURSES = {"afp": (4, 8, 24, 28), "machining": (2, 5, 7, 10)}
 
 
 @dataclass(frozen=True)
@@ -49,24 +51,54 @@ class Calibrated:
     uncorrected: Drive
 
 
-@pytest.fixture(scope="module")
-def afp(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
-    case = Case("afp", tmp_path_factory.mktemp("afp"))
+def _calibrated(name: str, folder: Path) -> Calibrated:
+    case = Case(name, folder)
     sim, cell = read_sim_cell(case.cell_path), read_cell(case.cell_path)
     hard = read_hard(case.truth_path, sim)
     session = calibrated.measured_session(sim, cell, hard.truth, case.out / "session")
     calibrated.eighteen(session, case.out)
-    ways = make_ways(sim, hard.process).only(np.array(COURSES["afp"]))
+    ways = make_ways(sim, hard.process).only(np.array(COURSES[name]))
     return Calibrated(case, sim, hard, session, ways, drive(sim, hard, ways))
 
 
-def test_the_papers_own_correction_does_on_the_hard_plant_what_it_did_on_the_real_cell(afp: Calibrated) -> None:
-    controller = corrected(afp.case, Job("18dof", COURSES["afp"], str(afp.case.out / "model_18dof.yaml")), afp.ways)
-    tolerance = read_cell(afp.case.cell_path).tolerance
-    before, after = (figures(d, tolerance) for d in (afp.uncorrected, drive(afp.sim, afp.hard, afp.ways, controller)))
-    assert outside_bands("afp", before, after) == []
+@pytest.fixture(scope="module")
+def afp(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
+    return _calibrated("afp", tmp_path_factory.mktemp("afp"))
+
+
+@pytest.fixture(scope="module")
+def machining(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
+    return _calibrated("machining", tmp_path_factory.mktemp("machining"))
+
+
+@pytest.mark.parametrize("name", ["afp", "machining"])
+def test_the_papers_own_correction_does_on_the_hard_plant_what_it_did_on_the_real_cell(
+    name: str, request: pytest.FixtureRequest
+) -> None:
+    cell: Calibrated = request.getfixturevalue(name)
+    controller = corrected(cell.case, Job("18dof", COURSES[name], str(cell.case.out / "model_18dof.yaml")), cell.ways)
+    tolerance = read_cell(cell.case.cell_path).tolerance
+    before, after = (figures(d, tolerance) for d in (cell.uncorrected, drive(cell.sim, cell.hard, cell.ways, controller)))
+    assert outside_bands(name, before, after) == []
     assert controller.told()["active_share"] > 0.95  # the correction was in force, and no watchdog took it out
     assert controller.told()["findings"] == 0
+
+
+def test_a_cutter_follows_forces_below_the_arms_lowest_mode_only(machining: Calibrated) -> None:
+    """What the low-pass of roughing is for: at its own frequency the arm answers more than its compliance tells."""
+    plant = Plant(machining.sim.chain, machining.hard.truth.physics().plant)
+    assert machining.hard.modes is not None
+    middle = machining.ways.q[len(machining.ways.q) // 3]
+    lowest = min(modes_of_cell(machining.sim, plant, machining.hard.modes, q)[0][0] for q in middle)
+    assert filters_of(machining.case).cutoff < 0.85 * lowest
+
+
+def test_a_sensor_without_noise_and_lag_shows_no_teeth_in_its_samples(machining: Calibrated) -> None:
+    ideal = without(machining.hard, "sensor noise and bandwidth", "sensor crosstalk and drift")
+    few = machining.ways.only(np.array([0]))
+    shown = drive(machining.sim, ideal, few)
+    in_tool = (few.R_tool[:, 0].swapaxes(1, 2) @ shown.force[:, 0, :, None])[..., 0]
+    np.testing.assert_allclose(shown.reading[:, 0], in_tool, atol=1.0)
 
 
 def test_a_model_of_the_arm_in_motion_foretells_other_courses_better_than_one_of_the_standing_arm(afp: Calibrated) -> None:

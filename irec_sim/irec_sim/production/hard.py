@@ -52,13 +52,14 @@ class ForceSensor:
 
     Attributes:
         bandwidth: Hz, first order; delay: s, of its transport; noise: N per sample and axis; drift: N, of the bias since it was
-            zeroed, one standard deviation per axis.
+            zeroed, one standard deviation per axis; folds: whether what lies above half its rate shows in its samples.
     """
 
     bandwidth: float = 73.0
     delay: float = 0.004
     noise: float = 1.5
     drift: float = 4.0
+    folds: bool = True
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ CAUSES: dict[str, Callable[[Hard], Hard]] = {
         sensor=replace(hard.sensor, drift=0.0) if hard.sensor else None,
     ),
     "sensor noise and bandwidth": lambda hard: replace(
-        hard, sensor=replace(hard.sensor, noise=0.0, delay=0.0, bandwidth=1e5) if hard.sensor else None
+        hard, sensor=replace(hard.sensor, noise=0.0, delay=0.0, bandwidth=1e5, folds=False) if hard.sensor else None
     ),
     "latency and servo": lambda hard: replace(hard, channel=None),
     "structural modes": lambda hard: replace(hard, modes=None),

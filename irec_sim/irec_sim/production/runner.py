@@ -179,10 +179,11 @@ class _Run:
 
     def _tooth(self, k: int) -> Array:
         """Tooth passing and run-out of the cutter as the samples show them (they fold), (rows, 3), N."""
-        if self.force.spindle <= 0.0:
+        sensor = self.hard.sensor
+        if self.force.spindle <= 0.0 or sensor is None or not sensor.folds:
             return np.zeros((len(self.ways.rail), 3))
         t, f = k * PERIOD, self.force.spindle
-        amplitude = self.force.tooth[k] if self.hard.sensor is not None else 0.0 * self.force.tooth[k]
+        amplitude = self.force.tooth[k]
         once = 0.3 * self.sensor.gain(f) * np.sin(2.0 * np.pi * f * t)
         teeth = self.sensor.gain(f * self.force.teeth) * np.sin(2.0 * np.pi * f * self.force.teeth * t)
         return amplitude[:, None] * np.array([1.0, 0.8, 0.3]) * (once + teeth)
