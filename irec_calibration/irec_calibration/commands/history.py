@@ -51,6 +51,10 @@ def _of_cell(args: argparse.Namespace) -> int:
     for p in points:
         mark = "  in force" if p.in_force else ""
         error = f"{1e6 * p.held_out_rms_m:6.1f} um" if p.held_out_rms_m == p.held_out_rms_m else "unknown"
+        if p.event == "checked":
+            axes = ", ".join(f"axis {k + 1} less than {100 * s:.0f} % softer" for k, s in sorted(p.softer_below.items()))
+            print(f"{p.calibration:11}  {p.at[:10]}  confirmed by a check{f': {axes}' if axes else ''}")
+            continue
         print(f"{p.calibration:11}  {p.at[:10]}  {1e3 * p.deflection_m:21.3f} mm      {error}{mark}")
     if args.output and points:
         print(f"trend: {args.output}")

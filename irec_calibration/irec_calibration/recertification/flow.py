@@ -210,9 +210,17 @@ def _checked(store: Store, run: Run, quick: QuickResult, chosen: QuickPlan, foun
     else:
         verdict, text = "failed: not decided", with_advice(quick.text, "run the full procedure.")
     figures = {"poses": quick.poses, "odds_of_change": quick.e_value, "like": list(quick.like), "run": run.folder.name}
+    if quick.decision == "pass":
+        figures["softer_below"] = _softer_below(quick, chosen)
     if store.of_run(run.folder.name, "checked") is None:
         store.record_check(verdict, run.operator, figures)
     return Outcome(verdict, text, False, "", run.folder, str(run.folder / "quick.mcap"), quick, chosen, None, found)
+
+
+def _softer_below(quick: QuickResult, chosen: QuickPlan) -> dict[str, float]:
+    """What a passed check confirms: axis -> share of its compliance by which it would have been found softer."""
+    softer = [(name, c) for name, c in quick.named.items() if c.ageing.relative and c.part]
+    return {c.part: c.ageing.size * chosen.sizes[name] for name, c in softer if name in chosen.sizes}
 
 
 def _judge(place: Place, store: Store, run: Run, model: Model | None, before: Session | None, side: CellSide) -> Outcome:

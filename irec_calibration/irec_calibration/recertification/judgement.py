@@ -213,10 +213,13 @@ def _verdict(
         )
     if in_force is None:
         return "recalibrated", f"{error} It is the first calibration of this robot."
-    if change is None or change.decision != "changed":
+    if change is None or change.decision != "changed" or not change.like:
         if rms_new <= rms_old * a.max_ratio_to_old and rms_old > a.held_out_rms_m:
             return "recalibrated", f"{error} The one in force no longer meets the limit of {um * a.held_out_rms_m:.1f} um."
-        return "pass", f"{error} The robot is as it was when it was calibrated. Nothing has to be done."
+        as_it_was = "is as it was when it was calibrated"
+        if change is not None and change.decision == "changed":
+            as_it_was = "differs by micrometres only from when it was calibrated"
+        return "pass", f"{error} The robot {as_it_was}. Nothing has to be done."
     looks = _looked_at(change)
     if looks:
         words = " or ".join(change.words[n] for n in change.like[:3])

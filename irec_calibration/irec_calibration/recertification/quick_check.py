@@ -48,6 +48,7 @@ SIZES = (1.0, 2.0, 4.0, 8.0)  # multiples of the size at which a change must be 
 STATION_ROTATION = 1e-3  # rad, one standard deviation of what is left after the station was found anew
 VISIBLE = 0.3  # whitened length of a change over the whole calibration below which no quick check could show it
 QUIETEST = 0.3  # of the stated noise: a fit to few rows must not make the test believe in less
+NOTABLE = 0.02  # share of the tolerance: what moves the tool by less is micrometres, and nothing that staff are told of
 WIDE = 10.0  # prior standard deviation of each column: multiples of its change, or of the parameter's scale
 
 
@@ -83,7 +84,8 @@ class QuickResult:
         e_value: evidence against "nothing has changed"; 1 / alpha or more is an alarm.
         ratio: change -> likelihood ratio at the size at which it must be found.
         size: change -> most likely size, in multiples of that in `changes`.
-        like: changes that the data look like, most likely first (only where changed).
+        like: changes that the data look like, most likely first (only where changed); none that moves the tool by less than
+            NOTABLE of the tolerance.
         named: change -> all about it. words: change -> in plain words at its most likely size.
         poses: how many different ones took part. visits: how many times one was measured. text: for the person at the cell.
     """
@@ -187,8 +189,9 @@ def check(reference: Reference, session: Session, sizes: Mapping[str, float] | N
     least = np.array([(sizes or {}).get(c.name, 1.0) for c in looked_for])
     A = np.stack([now.of(c.displacement).ravel() for c in looked_for], axis=1) * least
     WA = weighted(covariance, _station(now), A)
-    n_places = len(np.unique(places(now)))
-    return _decide(looked_for, least, WA.T @ d, np.einsum("ij,ij->j", A, WA), n_places, len(now.poses), last)
+    moved = np.linalg.norm(A.reshape(-1, 3, len(looked_for)), axis=1).max(axis=0)
+    visits = len(np.unique(places(now))), len(now.poses)
+    return _decide(looked_for, least, WA.T @ d, np.einsum("ij,ij->j", A, WA), moved / reference.tolerance, *visits, last)
 
 
 def signal_to_noise(reference: Reference, session: Session, displacement: Array, repeats: float = 1.0) -> float:
@@ -226,23 +229,27 @@ def weighted(covariance: Array, nuisance: Array, columns: Array) -> Array:
 
 
 def _decide(
-    looked_for: Sequence[Change], least: Array, z: Array, information: Array, poses: int, visits: int, last: bool
+    looked_for: Sequence[Change], least: Array, z: Array, information: Array, moved: Array, poses: int, visits: int, last: bool
 ) -> QuickResult:
-    """Decide from the scores z and informations of the changes, each at its size `least`."""
+    """Decide from the scores z and informations of the changes, and by what share of the tolerance they move the tool, each at
+    its size `least`."""
     so_far = f"{visits} visits to {poses} pose{'s' if poses > 1 else ''}"
     log_ratio = np.array([[k * z_ - 0.5 * k * k * i_ for k in SIZES] for z_, i_ in zip(z, information, strict=True)])
     e_value = float(np.exp(min(logsumexp(log_ratio) - np.log(log_ratio.size), 700.0)))
     ratio = {c.name: float(np.exp(min(r[0], 700.0))) for c, r in zip(looked_for, log_ratio, strict=True)}
-    found = np.clip(np.divide(z, information, out=np.zeros_like(z), where=information > 0), 0.0, None) * least
+    times = np.clip(np.divide(z, information, out=np.zeros_like(z), where=information > 0), 0.0, None)
+    found = times * least
     size = {c.name: float(f) for c, f in zip(looked_for, found, strict=True)}
     named = {c.name: c for c in looked_for}
     words = {c.name: c.text(size[c.name]) for c in looked_for}
     by_change = logsumexp(log_ratio, axis=1)
     order = np.argsort(-by_change)
-    like = tuple(looked_for[i].name for i in order if by_change[i] > by_change[order[0]] - np.log(20.0))
+    likely = [i for i in order if by_change[i] > by_change[order[0]] - np.log(20.0)]
+    like = tuple(looked_for[i].name for i in likely if times[i] * moved[i] >= NOTABLE)
     if e_value >= 1.0 / FALSE_ALARM and poses >= FEWEST_TO_ALARM:
-        odds, looks = odds_text(e_value), " or ".join(words[n] for n in like[:3])
-        text = f"The robot has changed since its calibration (odds {odds} after {so_far}). It looks like: {looks}."
+        looks = " or ".join(words[n] for n in like[:3])
+        looks = f"It looks like: {looks}." if like else "By micrometres only: none of the changes looked for matters."
+        text = f"The robot has changed since its calibration (odds {odds_text(e_value)} after {so_far}). {looks}"
         text = with_advice(text, "run the full recalibration.")
         return QuickResult("changed", e_value, ratio, size, like, poses, text, named, words, visits)
     lowest = ndtri(MISSED / 2.0)  # of (estimate - size) / standard error, for a robot that has changed by just that size

@@ -38,7 +38,7 @@ footer { font-size: 8pt; color: #5a6270; margin-top: 6mm }
 {% for name, value in c.rows %}<tr><th>{{ name }}</th><td>{{ value }}</td></tr>
 {% endfor %}</table>
 {% if picture %}<h2>Trend</h2>
-<img alt="Deflection of the tool under the rated load, and compliance of the axes, over all calibrations"
+<img alt="Deflection of the tool under the rated load, and compliance of the axes, over all calibrations and passed checks"
  src="data:image/png;base64,{{ picture }}">{% endif %}
 <div class="sign"><div>Operator: {{ c.operator }}<br>Date, signature</div><div>Released by<br>Date, signature</div></div>
 <footer>{{ footer }}</footer></body></html>
@@ -94,11 +94,20 @@ def trend_png(points: Sequence[TrendPoint]) -> bytes:
 
 
 def draw_trend(axes: Any, points: Sequence[TrendPoint]) -> None:
-    """Draw deflection (left) and axis compliances (right) of the calibrations into two matplotlib axes."""
+    """Draw deflection (left) and axis compliances (right) of the calibrations into two matplotlib axes.
+
+    A check that was passed has found nothing anew: a hollow mark where its calibration is, and a bar up to where the axis would
+    have been found softer.
+    """
     when = range(len(points))
-    names = [f"{p.calibration}\n{p.at[:10]}" for p in points]
+    checks = {i for i, p in enumerate(points) if p.event == "checked"}
+    names = [f"{'check' if i in checks else p.calibration}\n{p.at[:10]}" for i, p in enumerate(points)]
     left, right = axes
-    left.plot(when, [1e3 * p.deflection_m for p in points], "o-", color="#0072b2")
+    left.plot(when, [1e3 * p.deflection_m for p in points], "-", color="#0072b2")
+    for i, p in enumerate(points):
+        left.plot([i], [1e3 * p.deflection_m], "o", color="#0072b2", mfc="white" if i in checks else "#0072b2")
+    if checks:
+        left.plot([], [], "o", color="#0072b2", mfc="white", label="confirmed by a check")
     for i, p in enumerate(points):
         if p.in_force:
             left.plot([i], [1e3 * p.deflection_m], "o", ms=11, mfc="none", mec="#d55e00", label="in force")
@@ -108,9 +117,15 @@ def draw_trend(axes: Any, points: Sequence[TrendPoint]) -> None:
     for k, axis in enumerate(sorted({n for p in points for n in p.compliance})):
         at = [(i, p.compliance[axis].value, p.compliance[axis].se) for i, p in enumerate(points) if axis in p.compliance]
         x, y, se = zip(*at, strict=True)
-        offset = [v + 0.03 * (k - 2) for v in x]
-        right.errorbar(offset, [1e6 * v for v in y], [2e6 * v for v in se], fmt="o-", ms=3, capsize=2, label=f"axis {axis + 1}")
-    right.set_ylabel("compliance, urad/(N m)\n(bars: 2 std. errors)")
+        shift = 0.03 * (k - 2)
+        (line,) = right.plot([v + shift for v in x], [1e6 * v for v in y], "-", label=f"axis {axis + 1}")
+        for i, value, error in zip(x, y, se, strict=True):
+            softer = points[i].softer_below.get(axis, 0.0)
+            bars = [[0.0], [1e6 * softer * value]] if i in checks else [[2e6 * error], [2e6 * error]]
+            style = {"ms": 3, "capsize": 2, "color": line.get_color(), "mfc": "white" if i in checks else line.get_color()}
+            right.errorbar([i + shift], [1e6 * value], bars, fmt="o", **style)
+    of_checks = ";\nof a check: less than" if checks else ""
+    right.set_ylabel(f"compliance, urad/(N m)\n(bars: 2 std. errors{of_checks})")
     right.margins(y=0.15)
     right.set_ylim(bottom=0.0)
     if right.get_legend_handles_labels()[0]:

@@ -13,7 +13,7 @@ from ..recertification.quick_check import odds_text
 from ..recertification.readings import MANNED
 from ..recertification.request import Place
 from ..recertification.store import Store
-from ..recertification.trend import trend
+from ..recertification.trend import TrendPoint, trend
 from .certificate import Certificate
 
 MEASURED = ("force sensor", "tracker", "temperature")
@@ -23,6 +23,7 @@ def certificate_of(outcome: Outcome, place: Place, store: Store, operator: str) 
     """The certificate: what was done, before and after, tolerance, uncertainty, trend."""
     today = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M")
     now = store.in_force_entry()
+    points = trend(store)
     return Certificate(
         title="Elastic calibration of a robot: recertification",
         subtitle=f"Cell {place.cell}, robot {place.serial}, {today}",
@@ -33,10 +34,11 @@ def certificate_of(outcome: Outcome, place: Place, store: Store, operator: str) 
             ("Tolerance of the process", f"{_mm(place.tolerance)}"),
             ("Calibration in force", "none" if now is None else f"{now.calibration}, since {now.at[:10]}, by {now.by}"),
             *_quick_rows(outcome),
+            *_confirmed_rows(outcome, points),
             *_full_rows(outcome, place.tolerance),
             *_before_rows(outcome),
         ],
-        points=trend(store),
+        points=points,
     )
 
 
@@ -77,6 +79,19 @@ def _quick_rows(outcome: Outcome) -> list[tuple[str, str]]:
         if p.never:
             rows.append(("No load case of this cell shows", "; ".join(p.never)))
     return rows
+
+
+def _confirmed_rows(outcome: Outcome, points: Sequence[TrendPoint]) -> list[tuple[str, str]]:
+    """The stiffnesses after a check that was passed: those of the calibration, and up to what they are confirmed."""
+    if outcome.quick is None or outcome.quick.decision != "pass" or not points or points[-1].event != "checked":
+        return []
+    now = points[-1]
+    axes = [
+        f"axis {k + 1}: {1e6 * e.value:.2f}, less than {100 * now.softer_below[k]:.0f} % more"
+        for k, e in now.compliance.items() if k in now.softer_below
+    ]  # fmt: skip
+    text = f"{'; '.join(axes)} (urad for each N m by calibration {now.calibration}; a check does not identify them anew)"
+    return [("How far single axes give way", text)] if axes else []
 
 
 def _grouped(changes: Sequence[str]) -> list[str]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,9 +13,17 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
 pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`")
 
+import rclpy
+from irec_calibration.cell import read_cell
 from irec_calibration.nodes import cell_side
+from irec_ros.guard import GuardedNode
+from rclpy.action import ActionClient, ActionServer
+
+from irec_msgs.action import RunProcedure
+from irec_msgs.srv import ActivateModel
 
 pytestmark = pytest.mark.ros
+CELL = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
 
 
 class Correction:
@@ -42,6 +51,33 @@ def side(monkeypatch: pytest.MonkeyPatch) -> cell_side.RosCell:
     made = cell_side.RosCell.__new__(cell_side.RosCell)
     made._cell, made._predicted_limit = None, 0.02  # type: ignore[assignment]
     return made
+
+
+def test_a_procedure_node_that_is_not_there_is_told_before_anything_moves(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """With the clients of rclpy on an empty domain; the instruments are not looked at here."""
+    monkeypatch.setattr(cell_side, "ANSWER_WAIT", 0.3)
+    monkeypatch.setattr(cell_side, "look", lambda *_: None)
+    monkeypatch.setattr(cell_side, "judged_readings", lambda *_: ())
+    rclpy.init()
+    try:
+        node = GuardedNode("alone")
+        procedure = ActionClient(node, RunProcedure, "irec/run_procedure")
+        activate = node.create_client(ActivateModel, "irec/correction/activate_model")
+        here = cell_side.RosCell(node, read_cell(CELL), procedure, activate, tmp_path, None, 0.02)
+        told = {p.name: (p.holds, p.text) for p in here.for_run(lambda *_: None, lambda: "", (), None, True).preconditions()}
+        assert told == {
+            "procedure_node": (False, "does not answer; start it"),
+            "correction_node": (False, "does not answer; start and configure it"),
+        }
+        server = ActionServer(node, RunProcedure, "irec/run_procedure", lambda _: RunProcedure.Result())
+        told = {p.name: p.holds for p in here.for_run(lambda *_: None, lambda: "", (), None, False).preconditions()}
+        assert told == {"procedure_node": True}, "a check that puts nothing in force needs no correction_node"
+        server.destroy()
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
 
 
 @pytest.mark.parametrize("answered", [1, 2, 3])

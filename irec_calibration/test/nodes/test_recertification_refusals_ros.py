@@ -39,7 +39,8 @@ class Site:
         known = read_cell(self.cell_file)
         write_poses(pose_list(known, make_plan(known, POSES, pool_size=150)), self.poses)
         self.cell = self.switch_on(**cell)
-        self._node("procedure", "irec_calibration.nodes.procedure_node", session_folder=folder, use_sim_time="true")
+        module = "irec_calibration.nodes.procedure_node"
+        self.procedure = self._node("procedure", module, session_folder=folder, use_sim_time="true")
         self._stores = 0
         rclpy.init()
         self.person = Person()
@@ -119,6 +120,10 @@ def test_operator_temperature_tool_model_and_nodes_are_looked_at_before_anything
 
     text = here.asked(here.store(), check_only=False, dry_run=False)
     assert text.startswith("failed: correction_node.") and "start and configure it" in text
+
+    kill(here.procedure)
+    text = here.asked(here.store())
+    assert text.startswith("failed: procedure_node.") and "procedure_node: does not answer; start it" in text
 
 
 def test_a_tracker_that_sees_nothing_is_told_before_anything_moves(site: Callable[..., Site]) -> None:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import argparse
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ from irec_calibration.recertification.flow import Outcome, recertify
 from irec_calibration.recertification.quick_check import odds_text
 from irec_calibration.recertification.request import Request
 from irec_calibration.recertification.store import Store
+from irec_calibration.recertification.trend import trend
 from irec_calibration.report.certificate import write_certificate
 from irec_calibration.report.recertification import certificate_of
 from recertification_cell import FakeCell, place, pose_file
@@ -58,12 +61,34 @@ def test_the_certificate_of_a_passed_check_says_what_would_have_been_found(done:
     assert "play" in rows["No load case of this cell shows"]
 
 
-def test_the_history_of_a_cell_lists_every_event(
+def test_a_passed_check_stands_in_the_trend_as_what_it_confirms_and_not_as_a_calibration(
     done: tuple[Outcome, Store], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import argparse
+    shutil.copytree(done[1].folder.parent, tmp_path / "c")
+    store = Store(tmp_path / "c", "S-1")
+    before = trend(store)
+    outcome = recertify(place(), store, Request("M", str(tmp_path / "c" / "poses.yaml"), check_only=True), FakeCell(seed=70))
+    assert outcome.verdict == "pass" and outcome.quick_plan is not None, outcome.text
+    *others, check = trend(store)
+    assert [p.at for p in others] == [p.at for p in before]
+    of = next(p for p in others if p.calibration == check.calibration)
+    assert check.event == "checked" and check.at >= of.at and not check.in_force and of.event == "added"
+    assert check.compliance == of.compliance, "nothing is identified anew"
+    assert check.softer_below == {
+        k: pytest.approx(0.1 * outcome.quick_plan.sizes[f"axis {k + 1}: 10 % softer"]) for k in of.compliance
+    }
+    certificate = certificate_of(outcome, place(), store, "M")
+    value = 1e6 * of.compliance[0].value
+    assert f"axis 1: {value:.2f}, less than 10 % more;" in dict(certificate.rows)["How far single axes give way"]
+    assert certificate.points[-1].event == "checked"
+    page, _ = write_certificate(certificate, tmp_path)
+    assert "passed checks" in page.read_text()
+    out = _history(store, tmp_path, capsys)
+    assert re.search(r"0001 +\S+  confirmed by a check: axis 1 less than 10 % softer", out)
 
-    _, store = done
+
+def _history(store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """What `irec history` prints of the store's cell."""
     cell = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
     text = cell.read_text().replace("../robots", str(cell.parents[1] / "robots")).replace("KR120-0001", "S-1")
     (tmp_path / "cell.yaml").write_text(text)
@@ -71,14 +96,19 @@ def test_the_history_of_a_cell_lists_every_event(
     history.configure(parser)
     arguments = [str(tmp_path / "cell.yaml"), "--folder", str(store.folder.parent), "-o", str(tmp_path / "trend.png")]
     assert history.run(parser.parse_args(arguments)) == 0
-    out = capsys.readouterr().out
-    assert out.count("added") == 2 and "put in force" in out and "in force" in out.splitlines()[-3]
+    return capsys.readouterr().out
+
+
+def test_the_history_of_a_cell_lists_every_event(
+    done: tuple[Outcome, Store], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = _history(done[1], tmp_path, capsys)
+    assert out.count("added") == 2 and "put in force" in out
+    assert re.search(r"^0001 .* mm .*  in force$", out, re.MULTILINE)
     assert (tmp_path / "trend.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_history_of_nothing_is_refused_in_one_line() -> None:
-    import argparse
-
     with pytest.raises(IrecError, match="name a cell file or a model"):
         history.run(argparse.Namespace(what="/nowhere", folder="x", output=None, json=False))
 

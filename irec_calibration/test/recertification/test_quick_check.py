@@ -14,6 +14,7 @@ from irec_calibration.model import EIGHTEEN_DOF, blank_model
 from irec_calibration.recertification.quick_check import (
     FEWEST_POSES,
     MOST_VISITS,
+    NOTABLE,
     QuickResult,
     Reference,
     check,
@@ -22,7 +23,7 @@ from irec_calibration.recertification.quick_check import (
 )
 from irec_calibration.recertification.quick_plan import MATTERS, MOST, PLACES, ROUNDS, SEEN_WELL, QuickPlan, _Power, plan
 from irec_calibration.recertification.station import with_stations_found
-from irec_calibration.session import Session
+from irec_calibration.session import Noise, Session
 from scipy.spatial.transform import Rotation
 
 TOLERANCE = 3e-4
@@ -96,6 +97,26 @@ def test_the_change_is_named_where_the_data_single_it_out() -> None:
     result = visited(ref, q, 77, compliance=softer(2, 1.5))
     assert any("axis 2" in name for name in result.like), result.like
     assert "Do this now" in result.text
+
+
+def test_a_change_by_micrometres_is_none_that_staff_are_told_of() -> None:
+    """To a tracker almost without noise everything is a change."""
+    quiet = Noise(tracker_m=2e-7, tracker_m_per_m=0.0, force_n=0.01, settling_m=1e-7)
+    session = synthetic.session(25, 5, noise=quiet)
+    ref = reference_of(identify(session, blank_model(EIGHTEEN_DOF)).terms, session, TOLERANCE)
+    visits = session.q[::6][:12]
+
+    def checked(factor: float) -> QuickResult:
+        now = synthetic.session(12, 6, noise=quiet, compliance=softer(2, factor), q_of_poses=visits)
+        return check(ref, now, last=True)
+
+    moved = {c.name: float(np.linalg.norm(c.displacement, axis=1).max()) for c in ref.changes}
+    name = "axis 2: 10 % softer"
+    small = checked(1.0 + 0.1 * 0.5 * NOTABLE * TOLERANCE / moved[name])
+    assert small.decision == "changed" and small.like == (), small.text
+    assert "By micrometres only" in small.text and "axis" not in small.text
+    large = checked(1.1)
+    assert large.decision == "changed" and large.like == (name,), large.text
 
 
 def test_a_robot_passes_only_after_enough_poses() -> None:
