@@ -44,6 +44,7 @@ class Clean:
 
     Attributes:
         p_values: of the candidates; odds: their log evidence; covered: whether the stated range of the noise has the true one.
+        even: whether the noise is normal and does not wander: else part of it counts as rows that stand out, or cancels.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Clean:
     odds: list[float] = field(default_factory=list)
     noise_ratio: float = float("nan")
     covered: bool | None = None
+    even: bool = True
 
 
 def diagnose(folder: Path, name: str, out: Path) -> str:
@@ -74,6 +76,7 @@ def read(row: dict[str, str], out: Path) -> Clean:
     """What was stated, from diagnosis.json and the row of matrix.csv."""
     said = json.loads((out / row["name"] / "diagnosis.json").read_text(encoding="utf-8"))
     case = Clean(row["name"], row["claim"] == "right", said["verdict"]["status"])
+    case.even = row["tail"] == "normal" and row["slow"] == "0"
     for candidate in said["candidates"]:
         for key, values in (("p_value", case.p_values), ("log_evidence", case.odds)):
             if isinstance(candidate.get(key), (int, float)):
@@ -111,6 +114,7 @@ def summary(cases: list[Clean]) -> dict[str, Any]:
         "smallest_p_value": {str(a): share([p <= a for p in smallest]) for a in LEVELS},
         "odds": {str(a): share([x >= -np.log(a) for x in largest]) for a in LEVELS},
         "noise_covered": share([c.covered for c in cases if c.covered is not None]),
+        "even_noise_covered": share([c.covered for c in cases if c.covered is not None and c.even]),
         "noise_ratio": [float(x) for x in np.nanquantile([c.noise_ratio for c in cases], [0.05, 0.5, 0.95])]
         if any(np.isfinite(c.noise_ratio) for c in cases)
         else None,
@@ -129,6 +133,7 @@ def in_words(parts: dict[str, dict[str, Any]]) -> str:
     rows += [(f"smallest of a session, corrected, <= {a:g}", lambda p, a=a: p["smallest_p_value"][str(a)]) for a in LEVELS]
     rows += [(f"stated odds of {1 / a:g} to 1 and more", lambda p, a=a: p["odds"][str(a)]) for a in LEVELS]
     rows += [("true noise within the stated range", lambda p: p["noise_covered"])]
+    rows += [("the same, normal noise that does not wander", lambda p: p["even_noise_covered"])]
     lines += [f"{label:44}" + "".join(f"{cell(of(p)):>26}" for p in parts.values()) for label, of in rows]
     lines.append(f"{'sessions':44}" + "".join(f"{p['sessions']:>26}" for p in parts.values()))
     for name, p in parts.items():

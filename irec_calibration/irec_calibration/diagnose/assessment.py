@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..effects.traits import Evidence
 from ..effects.traits import Family as Alike
 from ..identification.noise import InferredNoise
 from ..identification.validation import HeldOut, gain, rms
@@ -24,6 +25,7 @@ from .family import Family
 from .flexible import Flexible, flexible_gain
 from .held_out import held_out, only_good_poses
 from .level import Repeats, inferred, repeats_of
+from .naming import one_cause_of_bad_rows
 from .part_sets import Parts
 from .parts import prune
 from .remainder import Part, Remainder
@@ -40,7 +42,7 @@ class Assessment:
         names: effects that every good explanation needs, most important first; one_of: sets of which one is needed.
         study: the model with the added effects, cut down to the parts that they need; remainder: what is left beside it.
         evidence: what shows the structure that has no name: `repeats`, `held_out_structure`, `flexible_regression`,
-            `readings_that_stand_out`.
+            `readings_that_stand_out`, `beyond_plausible`.
         remaining_m: size of that structure, RMS over samples, m.
         hidden_m: how large a cause outside the catalogue could be and not be seen, m.
         explained: share of the explainable excess that the added effects explain.
@@ -112,6 +114,8 @@ def assess(
         evidence.append("flexible_regression")
     if len(rest.bad_rows) >= settings.several and _put_aside(study, rest) > settings.most_put_aside:
         evidence.append("readings_that_stand_out")
+    if not evidence and built.closest is not None and one_cause_of_bad_rows(final, built.closest, built.family, settings):
+        evidence.append("beyond_plausible")
     one_of, names = [], []
     for i in final.ids:
         rivals = built.rivals.get(i, ())
@@ -129,7 +133,7 @@ def assess(
     remaining = _size(study, known, ground) if evidence and rest.structures else 0.0
     if "repeats" in evidence:  # they know what is missing, whether or not a structure describes it
         remaining = max(remaining, _beside_repeats(study, bare))
-    if "readings_that_stand_out" in evidence:
+    if "readings_that_stand_out" in evidence or "beyond_plausible" in evidence:
         remaining = max(remaining, float(np.sqrt(max(rms(_residual(study, study.base)) ** 2 - noise.inferred_m**2, 0.0))))
     if evidence and remaining == 0.0:
         remaining = flexible.gain_m
@@ -240,7 +244,7 @@ def _depends_on(built: Built, final: Explanation, evidence: list[str], flexible:
         out.extend(n for n in names if n not in out)
 
     parts = sorted(final.remainder.structures, key=lambda p: -p.log_evidence)
-    if parts:
+    if parts or "beyond_plausible" in evidence:
         gains, _ = built.family.gains(Ground(final.study.bench, final.study.base))
         odds = gains - np.log([s.tried for s in built.family.structures])
         odds[[s.is_bad_row for s in built.family.structures]] = -np.inf
@@ -254,6 +258,16 @@ def _depends_on(built: Built, final: Explanation, evidence: list[str], flexible:
     return tuple(out[: SETTINGS.most_depended_on])
 
 
-def p_value(trial: Trial, tried: int) -> float:
+def p_value(log_evidence: float, tried: int) -> float:
     """Probability that noise alone gives an effect this evidence, corrected for the number of effects tried (Markov's bound)."""
-    return float(min(1.0, tried * np.exp(-max(trial.log_evidence, 0.0))))
+    return float(min(1.0, tried * np.exp(-max(log_evidence, 0.0))))
+
+
+def bad_luck(built: Built, trial: Trial) -> float:
+    """Evidence of the likeliest bad reading, which an effect that shows in one pose only has to beat; 0 for all others, nats."""
+    scene = built.start.study.ready
+    if trial.effect.evidence is not Evidence.ONE_POSE or scene.kind != "loaded" or trial.effect.id in built.final.ids:
+        return 0.0
+    gains, _ = built.family.gains(Ground(built.start.study.bench, built.start.study.base))
+    bad = [float(g - np.log(s.tried)) for g, s in zip(gains, built.family.structures, strict=True) if s.is_bad_row]
+    return max([0.0, *bad])

@@ -128,6 +128,18 @@ def _beside_larger(one: Explanation, effect_id: str, share: dict[str, float], se
     return evidence_beside(one, effect_id, larger, settings) if larger else np.inf
 
 
+def one_cause_of_bad_rows(bare: Explanation, one: Explanation, family: Family, settings: Settings) -> bool:
+    """Whether readings that stand out of a model follow one effect by far better than bad luck, at a size that can't be.
+
+    Then they are not bad luck, and its form is not theirs.
+    """
+    rows, effect_id = bare.remainder.bad_rows, one.ids[-1]
+    if not rows or in_one_pose(one, effect_id) or not implausible(one, effect_id):
+        return False
+    least = needed(one, effect_id, settings) + settings.nats_per_bad_row * len(rows)
+    return odds_of(one, bare, effect_id, family, settings) >= least
+
+
 def needed(one: Explanation, effect_id: str, settings: Settings) -> float:
     """Evidence that a name needs where nothing else is left."""
     if everywhere(one, effect_id):

@@ -32,7 +32,7 @@ class Candidate:
         cv_rms_m: held-out error of the trial: with it, in the linear problem about the fitted model; cv_rms_se_m: its standard
             error over poses.
         gain, gain_se: mean held-out loss saved per pose (squared stated standard deviations), and its standard error.
-        log_evidence: natural log of the odds against the model alone.
+        log_evidence: natural log of the odds against the model alone; of what shows in one pose only, against a bad reading too.
         p_value: corrected for everything that was tried.
         parameters: name -> {value, se, unit}.
         plausible: all values lie in the range that is physically likely.
@@ -61,7 +61,8 @@ class Verdict:
         effects: what is missing, most important first.
         depends_on: session columns or `tau_k` that the rest depends on, strongest first.
         size_m: RMS of what is in the residual beyond noise, m; remaining_m: of what has structure beside the named effects.
-        evidence: what shows that structure: `repeats`, `held_out_structure`, `flexible_regression`, `readings_that_stand_out`.
+        evidence: what shows that structure: `repeats`, `held_out_structure`, `flexible_regression`, `readings_that_stand_out`,
+            `beyond_plausible`.
         one_of: sets of effects of which one is needed, likeliest first, where they are not told apart.
         hidden_m: how large a cause outside the catalogue could be and not be seen, m.
         explained: share of the explainable excess that the named effects (or the best try) explain.

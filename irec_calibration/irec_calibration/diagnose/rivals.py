@@ -45,9 +45,11 @@ def rivals_of(
                 one = max(one, then, key=lambda e: e.log_evidence)
             own_forms = forms_of(one.term(other), one.study.ready)
             own = _without_forms(one, family, own_forms) - _without_forms(bare, family, own_forms)
-            if own < settings.nats_to_prefer:  # what has no name explains it there, not this effect
-                continue
-            odds = whole - _without_forms(one, family, forms)
+            by_name = one.named - bare.named
+            if own < settings.nats_to_prefer or by_name < 0.5 * (final.named - bare.named):
+                continue  # what has no name explains it there, not this effect
+            # whether a reading stands out a little is asked beside both
+            odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final)
             if odds < settings.nats_to_separate:
                 same.append((other, odds))
         if same:
@@ -55,8 +57,14 @@ def rivals_of(
     return out
 
 
-def _without_forms(one: Explanation, family: Family, forms: Forms) -> float:
-    """Log evidence of a model whose remainder holds none of some structures."""
-    if not any(forms.has(p.structure) for p in one.remainder.structures):
+def _without_forms(one: Explanation, family: Family, forms: Forms, other: Explanation | None = None) -> float:
+    """Log evidence of a model whose remainder holds none of some structures.
+
+    Args:
+        other: whose bad rows are tried too, where they are not the same.
+    """
+    known = {id(p.structure) for p in one.remainder.parts}
+    more = tuple(p for p in other.remainder.bad_rows if id(p.structure) not in known) if other is not None else ()
+    if not more and not any(forms.has(p.structure) for p in one.remainder.structures):
         return one.log_evidence
-    return one.named + remainder_of(one.study, family, one.remainder.parts, forms).gained
+    return one.named + remainder_of(one.study, family, (*one.remainder.parts, *more), forms).gained

@@ -15,7 +15,7 @@ from ..identification.validation import HeldOut, gain
 from ..model import Estimate, Model, Term
 from ..session.data import Session
 from ..typing import Json
-from .assessment import Assessment, assess, p_value
+from .assessment import Assessment, assess, bad_luck, p_value
 from .build import build
 from .candidates import Trial
 from .comparison import compare_observed
@@ -148,10 +148,11 @@ def _candidates(assessment: Assessment, readings: Readings | None, check: Callab
         after = held_out(known.study) if known else held_out(study, trial.best.block)
         alone = known.named if known else built.evidence.get(trial.effect.id, trial.log_evidence)  # on top of the model as it is
         mean, se, _ = gain(base, after)
+        luck = bad_luck(built, trial)
         out.append(
             Candidate(
-                trial.effect.id, parts_in(term, study), term, after.rms_m, after.rms_se_m, mean, se, alone,
-                p_value(trial, len(built.trials)), _plausible(trial, term, study),
+                trial.effect.id, parts_in(term, study), term, after.rms_m, after.rms_se_m, mean, se, alone - luck,
+                p_value(trial.log_evidence - luck, len(built.trials)), _plausible(trial, term, study),
                 {n: {"value": e.value, "se": e.se, "unit": e.unit} for n, e in term.estimates.items()},
             )
         )  # fmt: skip
@@ -207,7 +208,7 @@ def _confusable(one: Candidate, assessment: Assessment, all_of_them: Sequence[Ca
 def _weight_candidate(trial: Trial, readings: Readings, base: HeldOut, tried: int) -> Candidate:
     unit = {"value": readings.mass, "se": readings.mass_se, "unit": "kg"}
     term = Term(trial.effect, {"dm": Estimate(readings.mass, readings.mass_se, "kg", -500.0, 500.0)})
-    p = float(min(1.0, tried * np.exp(-max(readings.log_evidence, 0.0))))
+    p = p_value(readings.log_evidence, tried)
     plausible = abs(readings.mass) < 100.0
     return Candidate(
         READ_AT_REFERENCES.id, (), term, base.rms_m, base.rms_se_m, 0.0, 0.0, readings.log_evidence, p, plausible, {"dm": unit}
