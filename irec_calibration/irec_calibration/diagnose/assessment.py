@@ -28,7 +28,7 @@ from .level import Repeats, inferred, repeats_of
 from .naming import one_cause_of_bad_rows
 from .part_sets import Parts
 from .parts import prune
-from .remainder import Part, Remainder
+from .remainder import Part, Remainder, grow
 from .settings import SETTINGS, Settings
 from .study import Study
 from .tool_weight import Readings
@@ -42,7 +42,7 @@ class Assessment:
         names: effects that every good explanation needs, most important first; one_of: sets of which one is needed.
         study: the model with the added effects, cut down to the parts that they need; remainder: what is left beside it.
         evidence: what shows the structure that has no name: `repeats`, `held_out_structure`, `flexible_regression`,
-            `readings_that_stand_out`, `beyond_plausible`.
+            `readings_that_stand_out`, `few_poses`.
         remaining_m: size of that structure, RMS over samples, m.
         hidden_m: how large a cause outside the catalogue could be and not be seen, m.
         explained: share of the explainable excess that the added effects explain.
@@ -114,8 +114,15 @@ def assess(
         evidence.append("flexible_regression")
     if len(rest.bad_rows) >= settings.several and _put_aside(study, rest) > settings.most_put_aside:
         evidence.append("readings_that_stand_out")
-    if not evidence and built.closest is not None and one_cause_of_bad_rows(final, built.closest, built.family, settings):
-        evidence.append("beyond_plausible")
+    if not evidence and rest.structures:
+        bad = only_bad_rows(study, built.family)
+        if rest.gained - bad.gained > settings.nats_in_one_pose:
+            evidence.append("few_poses")
+        elif strongest > settings.nats_for_structure:  # they may be bad readings as well, and are to be looked at
+            rest = bad
+    if not evidence and built.closest is not None:
+        if one_cause_of_bad_rows(final, built.closest, built.family, settings):
+            evidence.append("few_poses")
     one_of, names = [], []
     for i in final.ids:
         rivals = built.rivals.get(i, ())
@@ -133,7 +140,7 @@ def assess(
     remaining = _size(study, known, ground) if evidence and rest.structures else 0.0
     if "repeats" in evidence:  # they know what is missing, whether or not a structure describes it
         remaining = max(remaining, _beside_repeats(study, bare))
-    if "readings_that_stand_out" in evidence or "beyond_plausible" in evidence:
+    if "readings_that_stand_out" in evidence or "few_poses" in evidence:
         remaining = max(remaining, float(np.sqrt(max(rms(_residual(study, study.base)) ** 2 - noise.inferred_m**2, 0.0))))
     if evidence and remaining == 0.0:
         remaining = flexible.gain_m
@@ -145,6 +152,11 @@ def assess(
         float(remaining), _hidden(noise, len(study.bench.b), settings), explained, noise, bare, flexible, readings, base_cv,
         built.reason, asked, pruned.parts, pruned.other,
     )  # fmt: skip
+
+
+def only_bad_rows(study: Study, family: Family) -> Remainder:
+    """A remainder of readings that stand out, and of nothing else."""
+    return grow(study.bench, family, study.base, without=lambda s: not s.is_bad_row)
 
 
 def _beside(one: Explanation, forms: bool = False) -> Block:
@@ -244,7 +256,7 @@ def _depends_on(built: Built, final: Explanation, evidence: list[str], flexible:
         out.extend(n for n in names if n not in out)
 
     parts = sorted(final.remainder.structures, key=lambda p: -p.log_evidence)
-    if parts or "beyond_plausible" in evidence:
+    if parts or "few_poses" in evidence:
         gains, _ = built.family.gains(Ground(final.study.bench, final.study.base))
         odds = gains - np.log([s.tried for s in built.family.structures])
         odds[[s.is_bad_row for s in built.family.structures]] = -np.inf

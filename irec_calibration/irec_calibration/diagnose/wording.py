@@ -24,7 +24,7 @@ ROWS_SHOWN = 4
 
 SHOWN_BY = {
     "readings_that_stand_out": "more than one reading in ten stands out and had to be put aside, too many for bad luck",
-    "beyond_plausible": "readings that stand out follow the form of one effect together, but not at a size that can be",
+    "few_poses": "readings of few poses follow one law together far better than bad luck does, too few to test it on others",
     "repeats": "repeats of the same sample agree better than that",
     "held_out_structure": "a smooth function of these variables lowers the error on held-out poses",
     "flexible_regression": "a flexible regression lowers the error on held-out poses",

@@ -68,6 +68,22 @@ def axis_2_softer_by_three_times_its_angle(scene: Scene) -> Array:
     return turned(scene, angle)
 
 
+def windup_of_axis_2_near_its_least_torque(size: float, reach: float) -> Callable[[Scene], Array]:
+    """Axis 2 turns by `size` (rad) more at the least torque of a session and by e less at each further `reach` of it."""
+
+    def moved(scene: Scene) -> Array:
+        least = np.abs(scene.tau[:, 1] + scene.tau_gravity[:, 1]).min()
+
+        def law(torque: Array) -> Array:
+            return size * np.exp(-(np.abs(torque) / least - 1.0) / reach)
+
+        angle = np.zeros_like(scene.tau)
+        angle[:, 1] = law(scene.tau[:, 1] + scene.tau_gravity[:, 1]) - law(scene.tau_gravity[:, 1])
+        return turned(scene, angle)
+
+    return moved
+
+
 def softer_as_time_passes(scene: Scene) -> Array:
     angle = np.zeros_like(scene.tau)
     angle[:, 1] = 1.2e-7 * scene.tau[:, 1] * (scene.stamp / scene.stamp.max() - 0.5)
@@ -186,6 +202,27 @@ def test_a_session_of_which_a_fifth_stands_out_is_not_adequate() -> None:
     verdict = diagnose(replace(clean, p_marker_in_station=marker)).verdict
     assert (verdict.status, verdict.effects) == ("unexplained", ()), verdict.text
     assert verdict.evidence == ("readings_that_stand_out",)
+
+
+def test_a_law_that_few_poses_show_is_no_noise_where_bad_readings_explain_them_far_worse() -> None:
+    verdict = diagnose(session(windup_of_axis_2_near_its_least_torque(3e-4, 0.3))).verdict
+    assert (verdict.status, verdict.effects) == ("unexplained", ()), verdict.text
+    assert verdict.evidence == ("few_poses",)
+    assert verdict.depends_on == ("tau_2",)
+    assert verdict.remaining_m > 5e-5
+
+
+def test_a_pose_that_a_law_or_bad_luck_explains_about_as_well_is_listed() -> None:
+    verdict = diagnose(session(windup_of_axis_2_near_its_least_torque(2e-4, 0.2))).verdict
+    assert verdict.status == "adequate", verdict.text
+    assert "stand out and count for nothing here: all of pose 6" in verdict.text
+
+
+def test_creep_that_is_over_before_the_first_reading_is_not_tried() -> None:
+    scene = scene_of(session())
+    shortest = (scene.stamp - scene.load_since)[scene.stamp > scene.load_since].min()
+    T = next(p for p in find_effect("creep").parameters(scene) if p.name == "T")
+    assert 0.4 * shortest < T.lower <= min(T.grid or (T.start,))
 
 
 def test_one_bad_pose_of_a_short_session_is_listed_and_is_no_cause() -> None:
