@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from cell_side import CELL, CellSide, afp_model
 
 pytestmark = [pytest.mark.ros, pytest.mark.alone]
 ACTIVE, FAULT = 2, 5
+PERIOD = 0.004  # s
 STEP = 0.02 * 0.004 * 3  # messages may be lost on the way here: three ticks at most between two
 
 
@@ -91,7 +93,12 @@ def test_a_description_of_another_robot_fades_out_and_stays_a_fault_until_it_is_
 def test_a_joint_state_with_too_few_positions_and_wrenches_in_another_frame_are_held_and_named(active):
     joint_state, wrench = active.types
 
+    sent = [0.0]
+
     def told(fault: str) -> bool:
+        if time.monotonic() < sent[0] + PERIOD:  # no flood: on a quick machine it would be what the node is busy with
+            return f"fault.{fault}" in str(active.diagnostics[-1:])
+        sent[0] = time.monotonic()
         message = joint_state(name=[f"joint_{k}" for k in range(1, 7)], position=[0.0, 0.1, 0.2])
         message.header.stamp = active.node.get_clock().now().to_msg()
         foreign = wrench()

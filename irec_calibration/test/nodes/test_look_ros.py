@@ -22,7 +22,7 @@ def test_thermometers_that_are_found_after_the_look_has_begun_are_heard(
 ) -> None:
     """A cell that was just switched on is found bit by bit; a cold machine would pass for one without thermometers."""
     monkeypatch.setattr(module, "LOOK_SECONDS", 4.0)
-    monkeypatch.setattr(module, "LOOK_LONGEST", 20.0)
+    monkeypatch.setattr(module, "LOOK_LONGEST", 10.0)  # there is nothing else to see: it looks for so long
     rclpy.init()
     node, cell = rclpy.create_node("looks"), rclpy.create_node("cell")
     publishers: list = []
