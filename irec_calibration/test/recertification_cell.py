@@ -47,6 +47,7 @@ class FakeCell:
     refuses: str = ""
     missing: Missing = Missing("adequate")
     stop_after: int = 0
+    lateral: float = 1.0
     problems: tuple[Precondition, ...] = ()
     runs: list[str] = field(default_factory=list)
     activated: list[Path] = field(default_factory=list)
@@ -58,10 +59,16 @@ class FakeCell:
     def report(self, stage: str, text: str) -> None:
         self.reported.append(f"{stage}: {text}")
 
+    def lateral_factor(self, poses: PoseList, most: float) -> float:
+        return min(self.lateral, most)
+
     def measured(self, poses_path: Path) -> Session:
-        q = np.array([p.q for p in read_poses(poses_path).poses])
+        listed = read_poses(poses_path)
+        q = np.array([p.q for p in listed.poses])
         self.seed += 1
-        return synthetic.session(len(q), self.seed, extra=self.extra, compliance=self.compliance, q_of_poses=q)
+        return synthetic.session(
+            len(q), self.seed, extra=self.extra, compliance=self.compliance, q_of_poses=q, lateral=listed.lateral_factor
+        )
 
     def run(self, poses_path: Path, session_path: Path, resume: bool, enough: Callable[[], bool]) -> str:
         self.runs.append(f"{session_path.stem}{' resumed' if resume else ''}")

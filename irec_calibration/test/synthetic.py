@@ -51,13 +51,14 @@ def session(
     transverse: np.ndarray = TRANSVERSE,
     joints: tuple[tuple[float, ...], tuple[float, ...]] = JOINTS,
     q_of_poses: np.ndarray | None = None,
+    lateral: float = 1.0,
 ) -> Session:
     """A loaded session: 18-DOF truth, five load cases a pose, plus what `extra` adds to the marker's displacement.
 
     Args:
         extra: function of the noise-free scene -> displacement of the marker in base_link, (n, 3), m.
         joints: lowest and highest joint angles of the poses, rad.
-        q_of_poses: (poses, 6), rad; drawn where None.
+        q_of_poses: (poses, 6), rad; drawn where None. lateral: multiple of the forces across the tool.
     """
     rng = np.random.default_rng(seed)
     noise = noise or Noise(tracker_m=7.5e-6, tracker_m_per_m=1.8e-6, force_n=1.0, settling_m=2e-6)
@@ -67,6 +68,7 @@ def session(
     q = np.repeat(q_of_poses, 6, axis=0) + rng.normal(0, 5e-4, (rows, 6))
     case = np.tile(np.arange(6), poses)
     force = np.array([LOAD_CASES.get(int(j), (0, 0, 0)) for j in case], dtype=float)
+    force *= np.array([lateral, lateral, 1.0])
     force += np.where(case[:, None] > 0, rng.normal(0, 15.0, (rows, 3)), 0.0)
     kin = robot.kinematics(q)
     station = Station("A", (4.0, -2.0, 1.0), (0.0, 0.0, 0.5**0.5, 0.5**0.5), known=True)

@@ -33,7 +33,7 @@ from irec_calibration.recertification.quick_plan import MATTERS, QuickPlan, plan
 from irec_calibration.recertification.station import with_stations_found
 from irec_calibration.session import Session, read_session
 from irec_calibration.typing import Array
-from irec_sim.cellfile import read_cell
+from irec_sim.cellfile import CellFile, read_cell
 from irec_sim.observe import simulate
 from irec_sim.poses import Poses, spread_poses
 from irec_sim.recorded import Pass
@@ -55,6 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--unchanged", type=int, default=4, help="checks of each robot that has not changed (default: 4)")
     parser.add_argument("--repeats", type=int, default=1, help="times that the calibration measured each pose (default: 1)")
     parser.add_argument("--noise", type=float, default=1.0, help="true noise as a multiple of the stated one (default: 1)")
+    across = "forces across the tool in the check, times those of the calibration (default: 1.25, what the cell bears)"
+    parser.add_argument("--lateral", type=float, default=1.25, help=across)
     parser.add_argument("--bounds", action="store_true", help="check no robot: only what the best test finds of each change")
     args = parser.parse_args(arguments)
     counts: dict[str, Counter[str]] = {}
@@ -77,7 +79,7 @@ def _count(
     where = spread_poses(read_cell("afp"), POSES, np.random.default_rng(seed))
     base = with_stations_found(_measured(truth, where, 1000 + seed, args.noise, args.repeats))
     reference = reference_of(identify(base, default_terms(base)).terms, base, TOLERANCE)
-    chosen = plan(reference)
+    chosen = plan(reference, args.lateral)
     poses = [p - 1 for p in chosen.poses]
     for number, (name, changed) in enumerate(_kinds(truth, chosen.sizes, args.unchanged)):
         noise_seed = 10_000 + 100 * seed + number
@@ -86,7 +88,7 @@ def _count(
         else:
             decision, visits = _checked(reference, changed, _some(where, poses), noise_seed, args.noise, chosen)
         moved = float(np.linalg.norm(_moved(truth, changed, where), axis=1).max())
-        bounds.setdefault(name, []).append(_bound(reference, truth, changed, _some(where, poses)))
+        bounds.setdefault(name, []).append(_bound(reference, truth, changed, _some(where, poses), args.lateral))
         c = counts.setdefault(name, Counter())
         c[decision] += 1
         # one that moves the tool by a part of the tolerance that matters, or that is as large as the plan says it has to be
@@ -98,6 +100,7 @@ def _count(
 
 def _print(counts: dict[str, Counter[str]], bounds: dict[str, list[tuple[float, float]]], args: argparse.Namespace) -> None:
     said = f"each calibrated on {POSES} poses measured {args.repeats} times, noise {args.noise:g} times the stated"
+    said += f", {args.lateral:g} times the forces across the tool"
     print(f"quick check, robots {args.first} to {args.first + args.robots - 1}, {said}")
     if args.bounds:
         print("moved: largest displacement of the tool; best: what the best test of all visits finds")
@@ -152,17 +155,23 @@ def _some(where: Poses, index: list[int]) -> Poses:
     return Poses(where.q[index], where.rail[index], where.p[index], where.R[index])
 
 
-def _moved(before: Truth, after: Truth, where: Poses) -> Array:
-    """Change of the tool's displacement as observed, over all poses and load cases, (m, 3), m."""
+def _cell(lateral: float = 1.0) -> CellFile:
+    """The AFP cell with other forces across the tool."""
     cell = read_cell("afp")
+    return replace(cell, load_cases=cell.load_cases * np.array([lateral, lateral, 1.0]))
+
+
+def _moved(before: Truth, after: Truth, where: Poses, lateral: float = 1.0) -> Array:
+    """Change of the tool's displacement as observed, over all poses and load cases, (m, 3), m."""
+    cell = _cell(lateral)
     schedule = make_schedule(cell, where, 0.0, np.random.default_rng(0))
     a, b = (simulate(cell, t.physics(), schedule).apparent_deflection(cell) for t in (before, after))
     return np.asarray(b - a).reshape(-1, 3)
 
 
-def _bound(reference: Reference, before: Truth, after: Truth, where: Poses) -> tuple[float, float]:
+def _bound(reference: Reference, before: Truth, after: Truth, where: Poses, lateral: float) -> tuple[float, float]:
     """What the best test finds of a change, of all visits and of many repeats of them."""
-    session, moved = _measured(before, where, 1, 1.0), _moved(before, after, where)
+    session, moved = _measured(before, where, 1, 1.0, lateral=lateral), _moved(before, after, where, lateral)
     threshold = norm.isf(FALSE_ALARM)
     once, often = (float(norm.cdf(signal_to_noise(reference, session, moved, n) - threshold)) for n in (1.0, MANY))
     return once, often
@@ -171,7 +180,7 @@ def _bound(reference: Reference, before: Truth, after: Truth, where: Poses) -> t
 def _checked(
     reference: Reference, truth: Truth, where: Poses, seed: int, noise: float, chosen: QuickPlan
 ) -> tuple[str, int]:
-    session = _measured(truth, where, seed, noise)
+    session = _measured(truth, where, seed, noise, lateral=chosen.lateral)
     for n in chosen.looks:
         result = check(reference, session.select_poses(list(range(1, n + 1))), chosen.sizes, last=n == MOST_VISITS)
         if result.decision != "undecided":
@@ -179,9 +188,9 @@ def _checked(
     return result.decision, n
 
 
-def _measured(truth: Truth, where: Poses, seed: int, noise: float, repeats: int = 1) -> Session:
+def _measured(truth: Truth, where: Poses, seed: int, noise: float, repeats: int = 1, lateral: float = 1.0) -> Session:
     """A session whose tracker stands some centimetres and milliradians from where it is stated."""
-    cell, rng = read_cell("afp"), np.random.default_rng([seed, 1])
+    cell, rng = _cell(lateral), np.random.default_rng([seed, 1])
     schedule = make_schedule(cell, where, 0.0, rng)
     rows = simulate(cell, truth.physics(), schedule)
     turn, shift = Rotation.from_rotvec(rng.normal(0.0, 4e-3, 3)).as_matrix(), rng.normal(0.0, 0.02, 3)

@@ -20,6 +20,9 @@ from irec_msgs.srv import ActivateModel
 
 from ..cell import Cell, Section
 from ..errors import Cancelled, IrecError
+from ..poses.store import PoseList
+from ..procedure.loads import largest_lateral
+from ..procedure.settings import read_settings
 from ..recertification.judgement import Missing
 from ..recertification.plausible import check_before_force
 from ..recertification.preconditions import Precondition
@@ -112,6 +115,10 @@ class RosCell:
     def _answers(self, name: str, wait: Callable[..., bool], advice: str = "start it") -> Precondition:
         there = bool(wait(timeout_sec=ANSWER_WAIT))
         return Precondition(name, there, "answers" if there else f"does not answer; {advice}")
+
+    def lateral_factor(self, poses: PoseList, most: float) -> float:
+        """See `CellSide.lateral_factor`."""
+        return largest_lateral(self._cell, read_settings(self._cell), poses, most)
 
     # --- measuring --------------------------------------------------------------------------------------------------
 

@@ -21,6 +21,7 @@ from ..errors import PlanError
 from ..poses.store import read_poses
 from ..procedure.checks import plan_targets
 from ..procedure.commands import Event, Row
+from ..procedure.loads import loaded_as_asked
 from ..procedure.machine import Procedure
 from ..procedure.plausible import Plausibility
 from ..procedure.recorder import SessionRecorder
@@ -45,7 +46,8 @@ class ProcedureRun:
             raise PlanError(f"repeats is {request.repeats}; 1 to {MOST_REPEATS} are possible, 0 for that of the cell file")
         self._instruments, self._link = instruments, link
         poses_path = request.poses_path or str(cell.poses_path)
-        poses = read_poses(poses_path, cell.serial, cell.robot.sha256).poses
+        listed = read_poses(poses_path, cell.serial, cell.robot.sha256)
+        poses, cell = listed.poses, loaded_as_asked(cell, settings, listed, poses_path)
         rails = np.array([p.ext.get("rail", 0.0) for p in poses])
         targets = plan_targets(cell, settings, np.array([p.q for p in poses]), rails, [p.index for p in poses])
         folder = Path(parameters["session_folder"])

@@ -49,7 +49,7 @@ class Checker:
         inside = ((q >= robot.lower + margin) & (q <= robot.upper - margin)).all(axis=1)
         station, visible = self.line_of_sight(kin, base, normal)
         failures = {
-            "torque": self._overloaded(q, kin),
+            "torque": overloaded(cell, q, kin),
             "line_of_sight": ~visible,
             "clearance": self._touches(kin, base),
             "singularity": self._singular(kin),
@@ -95,13 +95,6 @@ class Checker:
         J = np.concatenate([kin.jacobian(kin.p_tcp), angular.swapaxes(1, 2)], axis=1)
         return np.linalg.svd(J, compute_uv=False)[:, -1] < self.cell.singularity
 
-    def _overloaded(self, q: Array, kin: Kinematics) -> BoolArray:
-        force = np.einsum("nij,mj->nmi", kin.R_tool, self.cell.forces_in_tool)
-        process = np.einsum("nik,nmi->nmk", kin.jacobian(kin.p_tcp), force)
-        gravity = self.cell.robot.gravity_torque(q, payload=self.cell.payload)
-        worst = np.maximum(np.abs(process + gravity[:, None]).max(axis=1), np.abs(gravity))
-        return (worst > self.cell.continuous_torque).any(axis=1)
-
     def _hull(self, kin: Kinematics, base: Array) -> Array:
         """Centres of the hull spheres in the cell frame, (n, s, 3), m."""
         tcp = kin.p_tcp + base
@@ -143,6 +136,15 @@ class Checker:
             elevation[i, free] = sine[free]
         best = np.argmax(elevation, axis=0)
         return best, elevation.max(axis=0) > 0.0
+
+
+def overloaded(cell: Cell, q: Array, kin: Kinematics) -> BoolArray:
+    """Whether a load case of the cell needs more than the continuous torque of an axis at joint angles (n, k), rad: (n,)."""
+    force = np.einsum("nij,mj->nmi", kin.R_tool, cell.forces_in_tool)
+    process = np.einsum("nik,nmi->nmk", kin.jacobian(kin.p_tcp), force)
+    gravity = cell.robot.gravity_torque(q, payload=cell.payload)
+    worst = np.maximum(np.abs(process + gravity[:, None]).max(axis=1), np.abs(gravity))
+    return np.asarray((worst > cell.continuous_torque).any(axis=1))
 
 
 def _distance_to_segment(p: Array, start: Array, ray: Array) -> Array:

@@ -4,6 +4,7 @@
 format: irec-poses/1
 cell: name of the cell
 robot: {serial, urdf_sha256, joints: [names]}     a pose file belongs to one robot
+lateral_factor: 1.25                              forces across the tool, in multiples of the cell file's; 1 where it is not said
 plan: {method, seed, d_max_m, pool, drawn, rejected: {reason: count}, figures: {...}}
 poses:                                            SI units, in the order in which they are to be visited
   - pose: 1                                       index, from 1
@@ -48,7 +49,12 @@ class EngagementPose:
 
 @dataclass(frozen=True)
 class PoseList:
-    """The content of a pose file. plan: method, seed, pool and figures, as plain values."""
+    """The content of a pose file.
+
+    Attributes:
+        plan: method, seed, pool and figures, as plain values.
+        lateral_factor: of the forces across the tool in the load cases at these poses, in multiples of the cell file's.
+    """
 
     cell: str
     serial: str
@@ -56,6 +62,7 @@ class PoseList:
     joint_names: tuple[str, ...]
     poses: tuple[EngagementPose, ...]
     plan: dict[str, Any] = field(default_factory=dict)
+    lateral_factor: float = 1.0
 
 
 def write_poses(poses: PoseList, path: str | Path) -> Path:
@@ -65,6 +72,7 @@ def write_poses(poses: PoseList, path: str | Path) -> Path:
         "format": FORMAT,
         "cell": poses.cell,
         "robot": {"serial": poses.serial, "urdf_sha256": poses.urdf_sha256, "joints": list(poses.joint_names)},
+        **({"lateral_factor": float(poses.lateral_factor)} if poses.lateral_factor != 1.0 else {}),
         "plan": poses.plan,
         "poses": [
             {
@@ -104,6 +112,7 @@ def read_poses(path: str | Path, serial: str | None = None, urdf_sha256: str | N
         tuple(robot["joints"]),
         tuple(_pose(entry) for entry in content["poses"]),
         content.get("plan") or {},
+        float(content.get("lateral_factor", 1.0)),
     )
     if serial is not None and serial != result.serial:
         raise PlanError(f"{path}: planned for the robot {result.serial!r}, this one is {serial!r}; plan again")

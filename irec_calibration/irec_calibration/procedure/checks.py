@@ -15,6 +15,7 @@ from ..typing import Array
 from .settings import Settings
 from .standstill import Window
 
+SLIP_MARGIN = 1.02  # for the tolerance of the force controller
 LARGEST_NUMBER = 2**31 - 1  # of a pose, in a message
 
 
@@ -96,7 +97,7 @@ def contact_problem(window: Window, reference: Window, R_tool_in_station: Array,
     lateral, normal = float(np.hypot(force[0], force[1])), float(-force[2])
     if normal <= 0.0:
         return f"no contact: normal force is {normal:.0f} N"
-    if lateral > settings.friction * normal * 1.02:  # 2 % for the tolerance of the force controller
+    if lateral > settings.friction * normal * SLIP_MARGIN:
         return (
             f"the contact may slip: {lateral:.0f} N across at {normal:.0f} N normal,"
             f" ratio {lateral / normal:.3f}, limit {settings.friction:.3f}"

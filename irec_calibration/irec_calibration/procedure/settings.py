@@ -126,12 +126,12 @@ def read_settings(cell: Cell) -> Settings:
         reference_distance=cell.reference_distance,
         operator_at_robot=stands_there,
     )
-    _check_loads(cell, settings)
+    check_loads(cell, settings)
     return settings
 
 
-def _check_loads(cell: Cell, settings: Settings) -> None:
-    """The load cases must be within what the contact holds and the run survives."""
+def check_loads(cell: Cell, settings: Settings) -> None:
+    """The load cases must be within what the contact holds and the run survives. Raises CellError."""
     for f in cell.forces_in_tool:
         lateral, norm = float(np.hypot(f[0], f[1])), float(np.linalg.norm(f))
         if lateral > cell.friction * abs(f[2]):

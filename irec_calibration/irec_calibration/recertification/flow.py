@@ -27,12 +27,13 @@ from .journal import Entry
 from .judgement import Judgement, Missing, judge, with_diagnosis
 from .preconditions import Precondition, own_preconditions, told
 from .quick_check import QuickResult, Reference, check, reference_of
-from .quick_plan import QuickPlan, plan
+from .quick_plan import MOST_LATERAL, QuickPlan, plan
 from .request import Place, Request
 from .run_state import Run, begin, compared_with, session_of
 from .station import with_stations_found
 from .store import Store
 
+QUICK_POSES = "quick_poses.yaml"  # in the folder of a run
 GO_ON = f"mend that, then {RESUME}; it goes on after the last complete pose"
 CHECK_A_PART = "check one part at reduced speed."
 
@@ -42,6 +43,9 @@ class CellSide(Protocol):
 
     def preconditions(self) -> Sequence[Precondition]:
         """Look at robot, tracker, sensor and nodes now; nothing moves."""
+
+    def lateral_factor(self, poses: PoseList, most: float) -> float:
+        """By how much the forces across the tool may be larger than in the cell file at these poses: 1 to `most`."""
 
     def run(self, poses_path: Path, session_path: Path, resume: bool, enough: Callable[[], bool]) -> str:
         """Measure the poses; `enough` is asked after each pose and ends the run. Empty, or why it ended before its end.
@@ -135,8 +139,11 @@ def _quick_check(
 ) -> tuple[QuickResult, QuickPlan]:
     side.report("quick_check", "choosing poses that would show a change")
     reference = reference_of(now[2].terms, before, place.tolerance)
-    chosen = plan(reference)
-    poses = _quick_poses(store, now[0], chosen, run.folder / "quick_poses.yaml", place)
+    kept = store.folder / now[0].calibration / "poses.yaml"
+    listed = read_poses(kept, place.serial, place.robot.sha256)
+    begun = _lateral_of(run)
+    chosen = plan(reference, side.lateral_factor(listed, MOST_LATERAL) if begun is None else begun)
+    poses = _quick_poses(listed, str(kept), chosen, run.folder / QUICK_POSES)
     results: list[QuickResult] = []
     seen = 0
 
@@ -165,7 +172,7 @@ def _quick_check_of(place: Place, run: Run, model: Model, before: Session) -> tu
     if not path.exists():
         return None, None
     reference = reference_of(model.terms, before, place.tolerance)
-    chosen = plan(reference)
+    chosen = plan(reference, _lateral_of(run) or 1.0)
     _, quick = _so_far(reference, chosen, path, 0, last=True)
     return quick, chosen if quick is not None else None
 
@@ -189,16 +196,24 @@ def _so_far(reference: Reference, chosen: QuickPlan, path: Path, seen: int, last
         return seen, None
 
 
-def _quick_poses(store: Store, entry: Entry, chosen: QuickPlan, path: Path, place: Place) -> Path:
-    """A pose file with the visits of the plan; as many of them are made as are needed."""
-    kept = store.folder / entry.calibration / "poses.yaml"
-    of = {p.index: p for p in read_poses(kept, place.serial, place.robot.sha256).poses}
+def _lateral_of(run: Run) -> float | None:
+    """The factor of the forces across the tool with which a run was begun that goes on now."""
+    path = run.folder / QUICK_POSES
+    return read_poses(path).lateral_factor if path.exists() else None
+
+
+def _quick_poses(listed: PoseList, kept: str, chosen: QuickPlan, path: Path) -> Path:
+    """A pose file with the visits of the plan; as many of them are made as are needed.
+
+    Args:
+        listed, kept: the poses of the calibration, and the name of their file.
+    """
+    of = {p.index: p for p in listed.poses}
     known = [n for n in chosen.poses if n in of]
     if len(known) < len(chosen.poses):
         raise ModelError(f"{kept}: does not hold pose {sorted(set(chosen.poses) - set(of))[0]} of the calibration's session")
-    listed = read_poses(kept)
     poses = tuple(replace(of[n], index=i) for i, n in enumerate(known, 1))
-    return write_poses(PoseList(listed.cell, listed.serial, listed.urdf_sha256, listed.joint_names, poses, {}), path)
+    return write_poses(replace(listed, poses=poses, plan={}, lateral_factor=chosen.lateral), path)
 
 
 def _checked(store: Store, run: Run, quick: QuickResult, chosen: QuickPlan, found: tuple[Precondition, ...]) -> Outcome:

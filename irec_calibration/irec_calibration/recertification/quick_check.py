@@ -156,6 +156,18 @@ def _columns(terms: Sequence[Term], observation: Observation) -> Array:
     return observation.of(np.concatenate(blocks, axis=2))
 
 
+def loaded_columns(reference: Reference, lateral: float) -> tuple[Array, Array]:
+    """`Reference.columns`, (3 m, p), and the displacement by each of its changes, (3 m, changes), at the rows of the calibration
+    with the forces across the tool multiplied by `lateral`."""
+    o = reference.observation
+    force = o.scene.force_in_tool * np.array([lateral, lateral, 1.0])
+    loaded = replace(o, scene=o.scene.with_wrench(force, o.scene.torque_in_tool))
+    visible = {c.name for c in reference.changes}
+    found = [c for c in changes(reference.terms, loaded.scene) if c.name in visible]
+    columns = _columns(reference.terms, loaded)
+    return columns.reshape(3 * len(o.rows), -1), np.stack([loaded.of(c.displacement).ravel() for c in found], axis=1)
+
+
 def check(reference: Reference, session: Session, sizes: Mapping[str, float] | None = None, last: bool = False) -> QuickResult:
     """Test the poses measured so far.
 

@@ -21,12 +21,13 @@ import numpy as np
 
 from ..typing import Array, IntArray
 from .changes import never_shown
-from .quick_check import MOST_VISITS, Reference, row_covariance, station_columns, weighted
+from .quick_check import MOST_VISITS, Reference, loaded_columns, row_covariance, station_columns, weighted
 from .same_readings import covariance_of_rows, same_readings
 
 PLACES = 8  # different poses
 ROUNDS = (2, 4)  # visits of each pose in the first round, and in the second
 SEEN_WELL = 4.2  # signal to noise at which a change is excluded with 98 % where there is none, and missed with 2.5 %
+MOST_LATERAL = 1.3  # times the forces across the tool of the calibration, as far as the cell bears it: changes show more
 MATTERS = 0.10  # share of the tolerance: a change that moves the tool by more has to be found at its size in `changes`
 MOST = 0.20  # share of the tolerance: no other change that moves the tool by more may pass
 
@@ -42,6 +43,7 @@ class QuickPlan:
             it moves the tool by more than MOST of the tolerance.
         moved: change -> largest displacement of the observed point at its size in `changes`, m.
         seen: what is found, each change at the size at which it must be, in plain words. never: what no pose can show.
+        lateral: forces across the tool, in multiples of those of the calibration.
     """
 
     poses: tuple[int, ...]
@@ -50,6 +52,7 @@ class QuickPlan:
     moved: dict[str, float]
     seen: tuple[str, ...]
     never: tuple[str, ...]
+    lateral: float = 1.0
 
     @property
     def looks(self) -> tuple[int, ...]:
@@ -57,9 +60,13 @@ class QuickPlan:
         return tuple(n for n in range(1, len(self.poses) + 1) if self.poses[n - 1 : n] != self.poses[n : n + 1])
 
 
-def plan(reference: Reference) -> QuickPlan:
-    """Choose visits by the power to see each change, the most telling first."""
-    power = _Power(reference)
+def plan(reference: Reference, lateral: float = 1.0) -> QuickPlan:
+    """Choose visits by the power to see each change, the most telling first.
+
+    Args:
+        lateral: forces across the tool at the visits, in multiples of those of the calibration.
+    """
+    power = _Power(reference, lateral)
     each = MOST_VISITS // PLACES
     times = np.zeros(power.poses, dtype=np.int64)
     order: list[int] = []
@@ -81,7 +88,7 @@ def plan(reference: Reference) -> QuickPlan:
     return QuickPlan(
         tuple(int(reference.observation.poses[i]) for n in ROUNDS for i in order for _ in range(n)), seen, sizes, moved,
         tuple(c.text(sizes[c.name]) for c in reference.changes),
-        tuple(never_shown(reference.changes, reference.terms, reference.observation.scene)),
+        tuple(never_shown(reference.changes, reference.terms, reference.observation.scene)), lateral,
     )  # fmt: skip
 
 
@@ -94,15 +101,15 @@ def _with(times: IntArray, i: int, more_often: int) -> IntArray:
 class _Power:
     """Information of each change for numbers of visits (poses,)."""
 
-    def __init__(self, reference: Reference) -> None:
+    def __init__(self, reference: Reference, lateral: float = 1.0) -> None:
         o = reference.observation
         index = np.searchsorted(o.poses, o.pose)
         self.poses = len(o.poses)
         repeat = o.session.repeat[o.rows]
         self._rows = [np.flatnonzero((index == i) & (repeat == repeat[index == i].min())) for i in range(self.poses)]
         self._level, self._own, self._same = reference.level, row_covariance(o), same_readings(o)
-        self._A = np.stack([c.displacement.ravel() for c in reference.changes], axis=1)
-        self._B, self._P = reference.columns, reference.covariance
+        self._B, self._A = loaded_columns(reference, lateral)
+        self._P = reference.covariance
         self._N = station_columns(o.of(o.scene.p_observed) + o.y)
         # a change that matters has to be seen at its size; another at the largest size at which it does not matter yet
         limit = MATTERS * reference.tolerance

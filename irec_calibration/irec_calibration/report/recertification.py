@@ -70,7 +70,8 @@ def _quick_rows(outcome: Outcome) -> list[tuple[str, str]]:
         return []
     words = {"pass": "passed", "changed": "the robot has changed", "undecided": "not decided"}[q.decision]
     odds = f"odds that the robot has changed {odds_text(q.e_value)} (alarm at 50 to 1)"
-    rows = [("Quick check", f"{words}, after {q.visits} visits to {q.poses} poses; {odds}")]
+    loads = f", with {p.lateral:g} times the forces across the tool" if p.lateral != 1.0 else ""
+    rows = [("Quick check", f"{words}, after {q.visits} visits to {q.poses} poses{loads}; {odds}")]
     if q.like:
         rows.append(("It looks like", " or ".join(q.words[n] for n in q.like[:3])))
     if q.decision == "pass":

@@ -25,7 +25,7 @@ from irec_calibration.effects import find_effect
 from irec_calibration.model import Estimate, Model, Term
 from irec_calibration.model.file import save_model
 from irec_calibration.poses.plan import make_plan, pose_list
-from irec_calibration.poses.store import write_poses
+from irec_calibration.poses.store import read_poses, write_poses
 from irec_calibration.recertification.store import Store
 from irec_calibration.recording import BagReader
 from irec_calibration.session import read_session
@@ -242,7 +242,8 @@ def test_a_cancelled_run_ends_retracted_and_goes_on_after_a_restart_without_meas
 
 
 def test_a_paused_run_leaves_the_contact_and_ends_complete(operator: Operator, poses: Path, tmp_path: Path) -> None:
-    handle = operator.start(poses_path=str(poses), session_path=str(tmp_path / "s.mcap"))
+    harder = write_poses(replace(read_poses(poses), lateral_factor=1.25), tmp_path / "harder.yaml")
+    handle = operator.start(poses_path=str(harder), session_path=str(tmp_path / "s.mcap"))
     operator.in_state("establish")
     assert operator.call(Trigger, "irec/procedure/pause").success
     operator.in_state("paused")
@@ -250,7 +251,10 @@ def test_a_paused_run_leaves_the_contact_and_ends_complete(operator: Operator, p
     assert operator.call(Trigger, "irec/procedure/resume").success
     end = operator.end(handle)
     assert end.status == SUCCEEDED and end.result.poses_recorded == 2, end.result.message
-    assert len(read_session(tmp_path / "s.mcap")) == 12
+    session = read_session(tmp_path / "s.mcap")
+    assert len(session) == 12
+    assert session.load_cases[2] == (350.0, 0.0, -1100.0), "as the pose file asks for"
+    np.testing.assert_allclose(session.force_in_tool[session.load_case == 2, 0], 350.0, atol=15.0)
     assert not operator.call(Trigger, "irec/procedure/pause").success
 
 

@@ -18,12 +18,15 @@ from irec_calibration.identification.identify import identify
 from irec_calibration.identification.provenance import model_of
 from irec_calibration.model import EIGHTEEN_DOF, Term, blank_model
 from irec_calibration.model.file import save_model
+from irec_calibration.poses.store import read_poses
 from irec_calibration.recertification.flow import Outcome, recertify
 from irec_calibration.recertification.judgement import Missing, judge
 from irec_calibration.recertification.preconditions import Precondition, another_tool, told_lines
+from irec_calibration.recertification.quick_plan import MOST_LATERAL
 from irec_calibration.recertification.request import Place, Request, Tool
 from irec_calibration.recertification.run_state import interrupted
 from irec_calibration.recertification.store import Store
+from irec_calibration.report.recertification import certificate_of
 from irec_calibration.robot import Payload
 from irec_calibration.session import Session, read_session, write_table
 from recertification_cell import FakeCell, place, pose_file
@@ -272,6 +275,28 @@ def test_a_run_that_went_on_still_tells_what_its_quick_check_had_found(store: St
     outcome = year(store, side, resume=True)
     assert side.runs == ["quick", "full resumed"] and outcome.verdict == "recalibrated", outcome.text
     assert outcome.quick is not None and outcome.quick.decision == "changed" and outcome.quick_plan is not None
+
+
+def test_the_quick_check_presses_harder_across_the_tool_where_the_cell_bears_it(store: Store) -> None:
+    side = FakeCell(seed=100, lateral=2.0)
+    outcome = year(store, side)
+    assert outcome.verdict == "pass", outcome.text
+    listed = read_poses(outcome.folder / "quick_poses.yaml")  # type: ignore[operator]
+    assert listed.lateral_factor == MOST_LATERAL == outcome.quick_plan.lateral  # type: ignore[union-attr]
+    across = np.abs(read_session(outcome.session_path).force_in_tool[:, :2]).max()
+    assert across > 1.15 * np.abs(read_session(store.session_path("0001")).force_in_tool[:, :2]).max()  # type: ignore[arg-type]
+    rows = dict(certificate_of(outcome, PLACE, store, "M").rows)
+    assert "poses, with 1.3 times the forces across the tool; odds" in rows["Quick check"]
+
+
+def test_a_quick_check_goes_on_with_the_forces_that_it_was_begun_with(store: Store) -> None:
+    side = FakeCell(seed=500, stop_after=2, lateral=1.2)
+    with pytest.raises(IrecError, match="resume"):
+        year(store, side)
+    side.lateral = 1.0
+    outcome = year(store, side, resume=True)
+    assert side.runs[:2] == ["quick", "quick resumed"], outcome.text
+    assert outcome.quick_plan.lateral == 1.2  # type: ignore[union-attr]
 
 
 def test_a_run_goes_on_with_the_poses_that_it_began_with(store: Store) -> None:

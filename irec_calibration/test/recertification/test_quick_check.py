@@ -139,6 +139,18 @@ def test_the_plan_tells_at_which_size_each_change_is_found() -> None:
     assert len(chosen.seen) == len(chosen.sizes)
 
 
+def test_larger_forces_across_the_tool_show_more() -> None:
+    ref, _ = reference()
+    usual, harder = _Power(ref), _Power(ref, 1.25)
+    times = np.bincount(np.searchsorted(ref.observation.poses, plan_of(ref).poses), minlength=usual.poses)
+    more = dict(zip([c.name for c in ref.changes], np.sqrt(harder.of(times) / usual.of(times)).tolist(), strict=True))
+    assert all(m < 1.26 for m in more.values()), more
+    assert all(more[f"axis {k}: 10 % softer"] > 1.02 for k in (1, 4, 5)), more
+    assert harder.worth(times) > usual.worth(times)
+    chosen = plan(ref, 1.25)
+    assert chosen.lateral == 1.25 and chosen.moved == plan_of(ref).moved, "what a change matters in production is the same"
+
+
 def test_visits_are_chosen_better_than_at_random() -> None:
     ref, _ = reference()
     power = _Power(ref)
