@@ -3,6 +3,7 @@
 
     python tools/case.py afp                 the case, about 8 minutes on two free cores; interrupted, it goes on where it was
     python tools/case.py afp --every 4       only every fourth course
+    python tools/case.py afp --no-nodes      calibration session generated directly, without ROS
     python tools/case.py afp --costs         what each cause of the hard plant costs alone
 
 Results go to out/case-afp: report.html, summary.json, session/, models, drives/.
@@ -32,6 +33,7 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=2, help="drives at the same time (default: 2)")
     parser.add_argument("--fresh", action="store_true", help="begin anew, whatever the folder holds")
     parser.add_argument("--no-budget", action="store_true", help="leave the error budget out")
+    parser.add_argument("--no-nodes", action="store_true", help="generate the calibration session directly, without ROS")
     parser.add_argument("--costs", action="store_true", help="print what each cause of the hard plant costs alone")
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -43,7 +45,7 @@ def main() -> int:
         if args.costs:
             print_costs(case, args.processes)
             return 0
-        return run_case(case, args.processes, not args.no_budget)
+        return run_case(case, args.processes, not args.no_budget, not args.no_nodes)
     except (IrecError, SimError, OSError) as error:
         print(f"\ncase: {error}", file=sys.stderr)
         return 2

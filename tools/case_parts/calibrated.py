@@ -16,14 +16,16 @@ from irec_calibration.diagnose.improve import improve
 from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, Model, blank_model
 from irec_calibration.model.file import load_model, save_model
 from irec_calibration.poses.store import read_poses
-from irec_calibration.session import read_session
+from irec_calibration.session import read_session, write_table
 from irec_sim.cellfile import CellFile
 from irec_sim.kinematics import forward
 from irec_sim.poses import Poses
-from irec_sim.session import generate, write_session
+from irec_sim.session import Generated, generate, write_session
 from irec_sim.truth import Truth
 
 from irec_calibration import diagnose
+
+from .through_nodes import record
 
 
 def planned_poses(sim: CellFile, cell: Cell) -> Poses:
@@ -39,8 +41,36 @@ def measured_session(sim: CellFile, cell: Cell, truth: Truth, folder: Path, seed
 
     A session of another plant that lies there is measured anew, and the models made of it are made anew.
     """
+    return _kept(cell, truth, folder, "", lambda half: write_session(_generated(sim, cell, truth, seed), half, folder.name))
+
+
+def recorded_session(cell: Cell, truth: Truth, truth_path: Path, folder: Path, say: Callable[[str], None]) -> Path:
+    """The same through the nodes; the recording is beside it. One that was broken off on this plant is gone on with."""
+    recording = folder.with_suffix(".mcap")
+
+    def measure(half: Path) -> None:
+        mark, digest = recording.with_suffix(".mcap.sha256"), _digest(cell, truth, "nodes")
+        if not (mark.is_file() and mark.read_text() == digest):
+            recording.unlink(missing_ok=True)
+            mark.write_text(digest)
+        record(cell, truth_path, recording, say)
+        write_table(read_session(recording), half)
+
+    return _kept(cell, truth, folder, "nodes", measure)
+
+
+def _generated(sim: CellFile, cell: Cell, truth: Truth, seed: int) -> Generated:
+    return generate(sim, truth, 1, seed, at=planned_poses(sim, cell))
+
+
+def _digest(cell: Cell, truth: Truth, how: str) -> str:
     plant = json.dumps(truth.as_data(), sort_keys=True).encode() + cell.path.read_bytes() + cell.poses_path.read_bytes()
-    mark, digest = folder.with_name(folder.name + ".sha256"), hashlib.sha256(plant).hexdigest()
+    return hashlib.sha256(plant + how.encode()).hexdigest()
+
+
+def _kept(cell: Cell, truth: Truth, folder: Path, how: str, measure: Callable[[Path], object]) -> Path:
+    """`folder` where it holds this plant's session, measured this way; measured else."""
+    mark, digest = folder.with_name(folder.name + ".sha256"), _digest(cell, truth, how)
     if (folder / "samples.csv").is_file() and mark.is_file() and mark.read_text() == digest:
         return folder
     for old in folder.parent.glob("model_*.yaml"):
@@ -48,8 +78,7 @@ def measured_session(sim: CellFile, cell: Cell, truth: Truth, folder: Path, seed
     half = folder.with_name(folder.name + ".part")
     for there in (half, folder):
         shutil.rmtree(there, ignore_errors=True)
-    made = generate(sim, truth, 1, seed, at=planned_poses(sim, cell))
-    write_session(made, half, folder.name)
+    measure(half)
     half.rename(folder)
     mark.write_text(digest)
     return folder

@@ -36,6 +36,7 @@ class Found:
     budget: Budget | None
     outside: list[str]
     numbered: list[Section]
+    calibrated: str
 
 
 def write_report(found: Found, folder: Path) -> Path:
@@ -218,9 +219,7 @@ def _honest(found: Found) -> Section:
     return Section(
         "What this is, and is not",
         [
-            "The calibration session was generated directly from the hard plant at the planned poses, not driven "
-            "through the nodes; `make demo`"
-            " drives one through the nodes on an easy plant.",
+            f"The calibration session was made {found.calibrated}. Those of the error budget's variants were generated directly.",
             "Plant, process forces and instruments are simulated; docs/case-studies.md has each number with its "
             "source. The analysis never"
             " read the truth: models, latency, profile, filter and modes come from the session, recordings and readings alone.",

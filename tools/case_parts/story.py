@@ -23,6 +23,7 @@ from .jobs import Case, Job, load, run_jobs, ways_of
 from .moving import improved_in_motion
 from .numbered import numbered
 from .page import LAST, NOT_KEPT, START, Found, write_report
+from .posture import posture_section
 from .table import Figures, figures, outside_bands, reduction
 
 FEWEST = 4  # courses
@@ -49,7 +50,11 @@ class Teller:
         return progress
 
 
-def run_case(case: Case, processes: int, budget: bool) -> int:
+THROUGH_NODES = "through the nodes: simulated cell on the hard plant, procedure node, session.mcap"
+GENERATED = "generated directly from the plant at the planned poses (--no-nodes), not through the nodes"
+
+
+def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
     """0: within the real cell's bands, 1: outside."""
     say = Teller()
     _state(case, "running")
@@ -57,11 +62,12 @@ def run_case(case: Case, processes: int, budget: bool) -> int:
     hard = read_hard(case.truth_path, sim)
     ways = ways_of(case, hard)
     rows = courses_of(case, len(ways.names))
-    say(
-        "calibrating on the hard plant at the planned poses (sessions generated directly, not through the nodes; "
-        "`make demo` does that)"
-    )
-    session = calibrated.measured_session(sim, cell, hard.truth, case.out / "session")
+    how = THROUGH_NODES if nodes else GENERATED
+    say(f"calibrating on the hard plant at the planned poses, {how}")
+    if nodes:
+        session = calibrated.recorded_session(cell, hard.truth, case.truth_path, case.out / "session", say)
+    else:
+        session = calibrated.measured_session(sim, cell, hard.truth, case.out / "session")
     six, eighteen = calibrated.six(session, case.out), calibrated.eighteen(session, case.out)
     say(f"6 DOF leave {_um(six)} um on held-out poses, 18 DOF {_um(eighteen)} um; diagnosing and improving")
     best = calibrated.improved(session, case.out, say.shares())
@@ -81,7 +87,7 @@ def run_case(case: Case, processes: int, budget: bool) -> int:
     ladder, told = _ladder(case, ways, rows, whole, say)
     run_jobs(case, list(ladder.values()), say, processes)
     say("drawing the figures")
-    found = _collect(case, rows, whole, ladder, told, hard, plan.of(case, cell.tolerance) if plan else None)
+    found = _collect(case, rows, whole, ladder, told, hard, plan.of(case, cell.tolerance) if plan else None, how)
     report = write_report(found, case.out)
     _finish(case, found, say, report)
     return 1 if found.outside else 0
@@ -150,12 +156,16 @@ def _taps(taps) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
     return tuple(float(f"{x:.9g}") for x in taps / taps.sum())
 
 
-def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None) -> Found:  # type: ignore[no-untyped-def]
+def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None, how: str) -> Found:  # type: ignore[no-untyped-def]
     tolerance = read_cell(case.cell_path).tolerance
     drives = {name: load(case, job) for name, job in whole.items()}
     table: dict[str, Figures] = {name: figures(d, tolerance) for name, (d, _) in drives.items()}
     steps = {name: load(case, job) for name, job in ladder.items()}
     rungs = {name: figures(d, tolerance) for name, (d, _) in steps.items()}
+    sections = numbered(case)
+    if case.name == "machining":
+        other = np.array(next(iter(ladder.values())).rows)
+        sections.append(posture_section(case, ways_of(case, hard).only(other), told["profile"]))
     outside = outside_bands(case.name, table["without"], table["18 DOF"])
     return Found(
         case.name,
@@ -169,7 +179,8 @@ def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None) -> Fo
         hard,
         budget,
         outside,
-        numbered(case),
+        sections,
+        how,
     )
 
 
@@ -189,7 +200,7 @@ def _finish(case: Case, found: Found, say: Teller, report: Path) -> None:
     summary = {
         "format": "irec-case/1",
         "case": case.name,
-        "calibrated": "sessions generated directly, not through the nodes",
+        "calibrated": found.calibrated,
         "table": {n: asdict(f) for n, f in found.table.items()},
         "ladder": {n: asdict(f) for n, f in found.rungs.items()},
         "outside_bands": found.outside,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -11,6 +12,8 @@ import time
 from pathlib import Path
 from types import TracebackType
 
+_PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 GRACE = ((signal.SIGTERM, 20.0), (signal.SIGKILL, 5.0))  # s to obey each
 
 
@@ -36,7 +39,7 @@ class Processes:
             arguments += ["-r", f"{key}:={value}"]
         with open(self._folder / f"{name}.log", "wb") as log:
             self._running[name] = subprocess.Popen(
-                arguments, stdout=log, stderr=subprocess.STDOUT, env=self._environment, start_new_session=True
+                arguments, stdout=log, stderr=subprocess.STDOUT, env=self._environment, start_new_session=True, preexec_fn=_mortal
             )
 
     def check(self) -> None:
@@ -62,6 +65,12 @@ class Processes:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         _end(list(self._running.values()))
         self._running.clear()
+
+
+def _mortal() -> None:
+    """A node ends, in order, when the process that started it is killed and can't end it."""
+    if _LIBC is not None:
+        _LIBC.prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM), 0, 0, 0)
 
 
 def _end(processes: list[subprocess.Popen[bytes]]) -> None:

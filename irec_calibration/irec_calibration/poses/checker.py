@@ -51,7 +51,7 @@ class Checker:
         failures = {
             "torque": overloaded(cell, q, kin),
             "line_of_sight": ~visible,
-            "clearance": self._touches(kin, base),
+            "clearance": self.touching(kin, base),
             "singularity": self._singular(kin),
             "joint_limits": ~inside,
             "reach": ~converged,
@@ -107,7 +107,8 @@ class Checker:
         long = [e for e in ends if np.median(np.linalg.norm(origin[:, e[1]] - origin[:, e[0]], axis=1)) > 0.3]
         return origin[:, [e[0] for e in long]], origin[:, [e[1] for e in long]]
 
-    def _touches(self, kin: Kinematics, base: Array) -> BoolArray:
+    def touching(self, kin: Kinematics, base: Array) -> BoolArray:
+        """Whether hull or arm come closer to the tooling than the clearance, (n,); base (n, 3), m: base_link in the cell."""
         cell = self.cell
         distance = self._tooling.query(self._hull(kin, base))[0]
         touches = (distance < cell.hull[:, 3] + cell.clearance).any(axis=1)

@@ -69,13 +69,13 @@ def course_of(cell: Cell, session: Session, steps: int = STEPS) -> Course | None
     if session.robot.sha256 != cell.robot.sha256:
         raise CellError(f"{cell.path} and session '{session.name}' are of different robots; the course is left out")
     p, normal = _points(cell, start + np.linspace(0.0, 1.0, steps)[:, None] * (end - start), face)
-    p, ext = _on_rail(cell, session, p)
+    p, ext = on_rail(cell, session, p)
     s = np.r_[0.0, np.linalg.norm(np.diff(p, axis=0), axis=1).cumsum()]
     tangent = np.gradient(p, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
     q = _follow(cell, session, p, normal, _tool_frames(cell, section.get("tool_x"), tangent, normal))
     force = mean + ripple * np.sin(2.0 * np.pi * WAVES * (s / s[-1])[:, None] + PHASES)
-    rows = _rows(session, q, p, force, s / speed, ext)
+    rows = rows_along(session, q, p, force, s / speed, ext)
     return Course(s, tangent, normal, rows, cell.tolerance, is_turned=bool(section.get("tool_x")))
 
 
@@ -90,7 +90,7 @@ def _points(cell: Cell, local: Array, face: str) -> tuple[Array, Array]:
     raise CellError(f"{cell.path}: course: courses are known on patches and blocks, not on meshes")
 
 
-def _on_rail(cell: Cell, session: Session, p: Array) -> tuple[Array, dict[str, float]]:
+def on_rail(cell: Cell, session: Session, p: Array) -> tuple[Array, dict[str, float]]:
     """The points in base_link, and where the external axes stand meanwhile."""
     ext = {name: float(np.median(v)) for name, v in session.ext.items()}
     if cell.rail is None:
@@ -130,7 +130,7 @@ def _follow(cell: Cell, session: Session, p: Array, normal: Array, R_tool: Array
         if not reached[0]:
             continue
         if R_tool is not None:
-            start, reached = _turn(chain, start, p[:1], R_tool[0])
+            start, reached = turned(chain, start, p[:1], R_tool[0])
         if not reached[0]:
             continue
         q = [start[0]]
@@ -149,7 +149,7 @@ def _follow(cell: Cell, session: Session, p: Array, normal: Array, R_tool: Array
     raise CellError(f"{cell.path}: course: the robot can't follow it as it stands in session '{session.name}'")
 
 
-def _turn(chain: Chain, q: Array, p: Array, R: Array) -> tuple[Array, BoolArray]:
+def turned(chain: Chain, q: Array, p: Array, R: Array) -> tuple[Array, BoolArray]:
     """The tool turned about its axis, (1, k), step by step, so that the arm stays folded as it is; whether it got there (1,)."""
     _, now, _ = chain.forward(q)
     x = R.T @ now[0][:, 0]  # where x points now, seen from where it is to point
@@ -164,7 +164,7 @@ def _turn(chain: Chain, q: Array, p: Array, R: Array) -> tuple[Array, BoolArray]
     return q, reached
 
 
-def _rows(session: Session, q: Array, p: Array, force: Array, time: Array, ext: dict[str, float]) -> Session:
+def rows_along(session: Session, q: Array, p: Array, force: Array, time: Array, ext: dict[str, float]) -> Session:
     n = len(q)
     twice = np.repeat(np.arange(n), 2)
     pressed = np.tile([0, 1], n)
