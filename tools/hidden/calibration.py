@@ -6,8 +6,7 @@
 Draws clean cells (random robots, poses, repeats, tails; half of them state their noise wrongly; no bad rows), runs
 `irec diagnose` on each, and compares
 
-* each candidate's `p_value` with how often a value as small comes up where nothing is hidden (a stated 1 % in 1 %),
-* the smallest p-value of a session, corrected for how many candidates there are,
+* the smallest `p_value` of a session with how often a value as small comes up where nothing is hidden (a stated 1 % in 1 %),
 * the largest log odds (`log_evidence`) of any candidate: odds of L nats for something that is not there may come up in at
   most exp(-L) of the sessions,
 * the range that is stated for the noise with the true one (where diagnosis.json has `noise`).
@@ -103,14 +102,12 @@ def share(values: Sequence[bool]) -> dict[str, Any]:
 
 def summary(cases: list[Clean]) -> dict[str, Any]:
     """All rates of some sessions."""
-    each = [p for c in cases for p in c.p_values]
-    smallest = [min(1.0, min(c.p_values) * len(c.p_values)) for c in cases if c.p_values]
+    smallest = [min(c.p_values) for c in cases if c.p_values]
     largest = [max(c.odds) for c in cases if c.odds]
     return {
         "sessions": len(cases),
         "adequate": share([c.status == "adequate" for c in cases]),
         "named": share([c.status == "missing_effect" for c in cases]),
-        "p_value": {str(a): share([p <= a for p in each]) for a in LEVELS},
         "smallest_p_value": {str(a): share([p <= a for p in smallest]) for a in LEVELS},
         "odds": {str(a): share([x >= -np.log(a) for x in largest]) for a in LEVELS},
         "noise_covered": share([c.covered for c in cases if c.covered is not None]),
@@ -129,8 +126,7 @@ def in_words(parts: dict[str, dict[str, Any]]) -> str:
 
     lines = [f"{'happens in % (95 % range)':44}" + "".join(f"{name:>26}" for name in parts)]
     rows = [("called adequate", lambda p: p["adequate"]), ("an effect is named", lambda p: p["named"])]
-    rows += [(f"stated p-value of a candidate <= {a:g}", lambda p, a=a: p["p_value"][str(a)]) for a in LEVELS]
-    rows += [(f"smallest of a session, corrected, <= {a:g}", lambda p, a=a: p["smallest_p_value"][str(a)]) for a in LEVELS]
+    rows += [(f"smallest p-value of a session <= {a:g}", lambda p, a=a: p["smallest_p_value"][str(a)]) for a in LEVELS]
     rows += [(f"stated odds of {1 / a:g} to 1 and more", lambda p, a=a: p["odds"][str(a)]) for a in LEVELS]
     rows += [("true noise within the stated range", lambda p: p["noise_covered"])]
     rows += [("the same, normal noise that does not wander", lambda p: p["even_noise_covered"])]
@@ -144,7 +140,7 @@ def in_words(parts: dict[str, dict[str, Any]]) -> str:
 
 
 def draw(cases: list[Clean], path: Path) -> None:
-    """Stated against observed: p-values on the left, odds on the right; the diagonal is right, below it is cautious."""
+    """Left: stated p-values against how often they come up (the diagonal is right, below it is cautious); right: noise found."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -156,20 +152,19 @@ def draw(cases: list[Clean], path: Path) -> None:
         ("noise stated as it is", [c for c in cases if c.claim_right], "#1f77b4"),
         ("noise stated wrongly", [c for c in cases if not c.claim_right], "#ff7f0e"),
     ):
-        each = np.array([p for c in some for p in c.p_values])
-        smallest = np.array([min(1.0, min(c.p_values) * len(c.p_values)) for c in some if c.p_values])
-        largest = np.array([max(c.odds) for c in some if c.odds])
-        if len(each):
-            left.plot(grid, [(each <= g).mean() for g in grid], color=colour, label=f"{label}, every candidate")
-            corrected = [(smallest <= g).mean() for g in grid]
-            left.plot(grid, corrected, color=colour, ls="--", label="smallest of a session, corrected")
-        if len(largest):
-            right.plot(grid, [(largest >= -np.log(g)).mean() for g in grid], color=colour, label=label)
-    for axes, what in ((left, "stated p-value"), (right, "1 / stated odds of the best candidate")):
-        axes.plot(grid, grid, color="0.4", lw=1)
-        axes.fill_between(grid, 0.2 * grid, np.minimum(3 * grid, 1), color="0.9", zorder=0)
-        axes.set(xscale="log", yscale="log", xlim=(1e-4, 1), ylim=(1e-3, 1.05), xlabel=what)
-        axes.set_ylabel(f"share of clean sessions ({len(cases)}) with that or less")
+        smallest = np.array([min(c.p_values) for c in some if c.p_values])
+        if len(smallest):
+            left.plot(grid, [(smallest <= g).mean() for g in grid], color=colour, label=label)
+    left.plot(grid, grid, color="0.4", lw=1)
+    left.fill_between(grid, 0.2 * grid, np.minimum(3 * grid, 1), color="0.9", zorder=0)
+    left.set(xscale="log", yscale="log", xlim=(1e-4, 1), ylim=(1e-3, 1.05), xlabel="smallest stated p-value of a session")
+    left.set_ylabel(f"share of clean sessions ({len(cases)}) with that or less")
+    for label, even, colour in (("normal, does not wander", True, "#2ca02c"), ("heavy tails, or wanders", False, "#9467bd")):
+        ratio = np.sort([c.noise_ratio for c in cases if c.even is even and np.isfinite(c.noise_ratio)])
+        right.plot(ratio, np.arange(1, len(ratio) + 1) / max(len(ratio), 1), color=colour, label=label)
+    right.axvline(1.0, color="0.4", lw=1)
+    right.set(xlabel="noise inferred / true noise", ylabel="share of sessions with that or less", ylim=(0, 1))
+    for axes in (left, right):
         axes.legend(fontsize=8, loc="upper left")
     figure.savefig(path, dpi=130)
     plt.close(figure)

@@ -270,9 +270,13 @@ def _depends_on(built: Built, final: Explanation, evidence: list[str], flexible:
     return tuple(out[: SETTINGS.most_depended_on])
 
 
-def p_value(log_evidence: float, tried: int) -> float:
-    """Probability that noise alone gives an effect this evidence, corrected for the number of effects tried (Markov's bound)."""
-    return float(min(1.0, tried * np.exp(-max(log_evidence, 0.0))))
+def p_value(log_evidence: float) -> float:
+    """Probability that noise alone gives any of the effects tried this evidence.
+
+    For one effect exp(-log_evidence) is an upper bound (Markov); that it holds for the best of all that are tried, whose own
+    evidence is below one on average, is measured: `tools/hidden/calibration.py`.
+    """
+    return float(np.exp(-max(log_evidence, 0.0)))
 
 
 def bad_luck(built: Built, trial: Trial) -> float:

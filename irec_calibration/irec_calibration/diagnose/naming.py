@@ -38,8 +38,10 @@ def refused(start: Explanation, current: Explanation, one: Explanation, family: 
         return beyond, odds
     before, after = (only_good_poses(held_out(e.study), one.study, one.remainder) for e in (current, one))
     mean, se, _ = gain(before, after)
-    helps = np.isfinite(mean) and mean > settings.held_out_sigmas * se
-    if not helps and not in_one_pose(one, one.ids[-1]):
+    # what few poses show helps on few: the evidence has to bring what the held-out error lacks, up to as much again as it needs
+    helped = min(mean / max(settings.held_out_sigmas * se, 1e-300), 1.0) if np.isfinite(mean) and mean > 0.0 else -np.inf
+    more = settings.nats_to_name * (1.0 - helped)
+    if odds < needed(one, one.ids[-1], settings) + more and not in_one_pose(one, one.ids[-1]):
         return "it does not help on held-out poses", odds
     if in_one_pose(one, one.ids[-1]):
         stays = lasts(one.study, one.added[-1])

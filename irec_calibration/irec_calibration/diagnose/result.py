@@ -33,7 +33,7 @@ class Candidate:
             error over poses.
         gain, gain_se: mean held-out loss saved per pose (squared stated standard deviations), and its standard error.
         log_evidence: natural log of the odds against the model alone; of what shows in one pose only, against a bad reading too.
-        p_value: corrected for everything that was tried.
+        p_value: how often the best of everything that is tried has that log evidence where there is only noise.
         parameters: name -> {value, se, unit}.
         plausible: all values lie in the range that is physically likely.
         confusable_with: effects (`id:group` where only a part) that explain the session equally well.

@@ -27,7 +27,10 @@ def rivals_of(
     out = {}
     by_id = {o.effect.id: o for o in found}
     for term in final.added:
-        others = {i: e for i, e in near.get(term.effect.id, {}).items() if i not in final.ids}
+        others: dict[str, Explanation | None] = {i: e for i, e in near.get(term.effect.id, {}).items() if i not in final.ids}
+        # those of its family too, before which something else may have come in
+        alike = [o.effect.id for o in found if o.effect.family is term.effect.family]
+        others |= {i: None for i in alike if i not in final.ids and i not in others}
         if not others:
             continue
         check()
@@ -38,10 +41,14 @@ def rivals_of(
         whole = _without_forms(final, family, forms)
         same = []
         for other, then in others.items():
-            one = explain(start, bare, try_option(ground, by_id[other], rest.ready), family)
+            trial = try_option(ground, by_id[other], rest.ready)
+            if then is None and trial.log_evidence < settings.nats_to_prefer:
+                continue
+            one = explain(start, bare, trial, family)
             if one is None or implausible(one, other):  # no value that can be is no rival
                 continue
-            if set(then.ids) == set(one.ids):  # beside it the shapes of the others may have been better than beside the one named
+            if then is not None and set(then.ids) == set(one.ids):
+                # beside it the shapes of the others may have been better than beside the one named
                 one = max(one, then, key=lambda e: e.log_evidence)
             own_forms = forms_of(one.term(other), one.study.ready)
             own = _without_forms(one, family, own_forms) - _without_forms(bare, family, own_forms)
@@ -50,8 +57,8 @@ def rivals_of(
                 continue  # what has no name explains it there, not this effect
             # whether a reading stands out a little is asked beside both
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final)
-            if odds < settings.nats_to_separate:
-                same.append((other, odds))
+            if odds < settings.nats_to_separate:  # what has no name tells them apart no better than they do themselves
+                same.append((other, min(odds, final.named - one.named)))
         if same:
             out[term.effect.id] = tuple(sorted(same, key=lambda t: t[1]))
     return out

@@ -140,7 +140,7 @@ def _candidates(assessment: Assessment, readings: Readings | None, check: Callab
         check()
         if trial.effect.id == READ_AT_REFERENCES.id:
             if readings is not None:
-                out.append(_weight_candidate(trial, readings, base, len(built.trials)))
+                out.append(_weight_candidate(trial, readings, base))
             continue
         known = exact.get(trial.effect.id)
         added = {t.effect.id: t for t in assessment.study.terms if t.effect.id in assessment.added}
@@ -152,7 +152,7 @@ def _candidates(assessment: Assessment, readings: Readings | None, check: Callab
         out.append(
             Candidate(
                 trial.effect.id, parts_in(term, study), term, after.rms_m, after.rms_se_m, mean, se, alone - luck,
-                p_value(trial.log_evidence - luck, len(built.trials)), _plausible(trial, term, study),
+                p_value(alone - luck), _plausible(trial, term, study),
                 {n: {"value": e.value, "se": e.se, "unit": e.unit} for n, e in term.estimates.items()},
             )
         )  # fmt: skip
@@ -205,10 +205,10 @@ def _confusable(one: Candidate, assessment: Assessment, all_of_them: Sequence[Ca
     return tuple(f"{i}:{parts[i][0]}" if len(parts.get(i, ())) == 1 else i for i in dict.fromkeys(rivals))
 
 
-def _weight_candidate(trial: Trial, readings: Readings, base: HeldOut, tried: int) -> Candidate:
+def _weight_candidate(trial: Trial, readings: Readings, base: HeldOut) -> Candidate:
     unit = {"value": readings.mass, "se": readings.mass_se, "unit": "kg"}
     term = Term(trial.effect, {"dm": Estimate(readings.mass, readings.mass_se, "kg", -500.0, 500.0)})
-    p = p_value(readings.log_evidence, tried)
+    p = p_value(readings.log_evidence)
     plausible = abs(readings.mass) < 100.0
     return Candidate(
         READ_AT_REFERENCES.id, (), term, base.rms_m, base.rms_se_m, 0.0, 0.0, readings.log_evidence, p, plausible, {"dm": unit}

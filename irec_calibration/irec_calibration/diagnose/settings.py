@@ -132,7 +132,7 @@ class Settings(Thresholds):
         "two parameters are fitted: by chance twice the gain is chi squared of two, above 10 in less than 1 % of sessions",
     )  # fmt: skip
     held_out_sigmas: float = threshold(
-        1.5, "standard errors over poses", "by which the held-out loss must fall with a name",
+        1.5, "standard errors over poses", "by which the held-out loss must fall with a name of least evidence",
         "one-sided 7 %, beside the evidence",
     )  # fmt: skip
     most_names: int = threshold(
