@@ -263,12 +263,12 @@ def test_of_an_absolute_session_only_what_the_session_can_tell_is_scored(answers
 
 def test_stated_p_values_are_set_against_how_often_they_come_up(calibration) -> None:
     rng = np.random.default_rng(0)
-    right = [calibration.Clean(str(i), True, "adequate", list(rng.uniform(size=20))) for i in range(200)]
-    bold = [calibration.Clean(str(i), False, "adequate", list(rng.uniform(size=20) ** 2)) for i in range(200)]
+    right = [calibration.Clean(str(i), True, "adequate", [float(rng.uniform()), 1.0]) for i in range(200)]
+    bold = [calibration.Clean(str(i), False, "adequate", [float(rng.uniform() ** 2), 1.0]) for i in range(200)]
     found = calibration.summary(right)
-    assert found["p_value"]["0.01"]["low"] <= 0.01 <= found["p_value"]["0.01"]["high"]
+    assert found["smallest_p_value"]["0.01"]["low"] <= 0.01 <= found["smallest_p_value"]["0.01"]["high"]
     assert found["smallest_p_value"]["0.05"]["low"] <= 0.05 <= found["smallest_p_value"]["0.05"]["high"]
-    assert calibration.summary(bold)["p_value"]["0.01"]["low"] > 0.05
+    assert calibration.summary(bold)["smallest_p_value"]["0.01"]["low"] > 0.05
 
 
 def test_odds_of_100_to_1_may_come_up_in_a_hundredth_of_the_clean_sessions(calibration) -> None:
