@@ -75,7 +75,7 @@ def read(row: dict[str, str], out: Path) -> Clean:
     """What was stated, from diagnosis.json and the row of matrix.csv."""
     said = json.loads((out / row["name"] / "diagnosis.json").read_text(encoding="utf-8"))
     case = Clean(row["name"], row["claim"] == "right", said["verdict"]["status"])
-    case.even = row["tail"] == "normal" and row["slow"] == "0"
+    case.even = row.get("tail", "normal") == "normal" and row.get("slow", "0") == "0"
     for candidate in said["candidates"]:
         for key, values in (("p_value", case.p_values), ("log_evidence", case.odds)):
             if isinstance(candidate.get(key), (int, float)):
