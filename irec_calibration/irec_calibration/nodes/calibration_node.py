@@ -24,9 +24,11 @@ from ..errors import CellError, IrecError, SessionError
 from ..model import EIGHTEEN_DOF, Model, blank_model
 from ..model.file import save_model
 from ..model.plausibility import LARGEST_OFFSET
+from ..recertification.quick_plan import MOST_LATERAL
 from ..recertification.store import calibration_folder
 from ..session import read_session
 from .analyses import READERS, arguments_of, run_command
+from .cell_side import Limits
 from .recertification_server import RecertificationServer
 
 PARAMETERS = (
@@ -36,7 +38,10 @@ PARAMETERS = (
         "models, sessions, journal and certificates; relative to the folder of the cell file; empty: `calibrations` there",
     ),  # fmt: skip
     P("predicted_limit", LARGEST_OFFSET, "largest deflection that a model may predict within its envelope", 1e-4, 0.5, unit="m"),
-)
+    P("quick_lateral", MOST_LATERAL,
+      "forces across the tool in the quick check, at most so many times those of the load cases, as far as the cell file's limits let it",
+      1.0, MOST_LATERAL),
+)  # fmt: skip
 
 
 class CalibrationNode(GuardedNode):
@@ -56,7 +61,8 @@ class CalibrationNode(GuardedNode):
         latched = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(ProcedureStatus, "irec/procedure/status", self._on_status, latched, callback_group=group)
         self.create_service(SolveCompliances, "irec/solve", self._on_solve, callback_group=group)
-        self._recertification = RecertificationServer(self, self.cell, self.folder, group, self._p["predicted_limit"])
+        limits = Limits(self._p["predicted_limit"], self._p["quick_lateral"])
+        self._recertification = RecertificationServer(self, self.cell, self.folder, group, limits)
         self.get_logger().info(self._recertification.start_text())
         self.create_service(AnalyseSession, "irec/analyse", self._on_analyse, callback_group=group)
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,19 @@ CANCEL_WAIT = 60.0  # s of the machine's clock for the robot to leave the contac
 Report = Callable[[str, str, int, int, float], None]
 
 
+@dataclass(frozen=True)
+class Limits:
+    """What a recertification may do.
+
+    Attributes:
+        predicted: m, that a model may predict over its envelope before it is put in force.
+        lateral: multiple of the forces across the tool up to which the quick check may press.
+    """
+
+    predicted: float
+    lateral: float
+
+
 class RosCell:
     """Implements `recertification.flow.CellSide` for one run.
 
@@ -45,10 +59,10 @@ class RosCell:
     """
 
     def __init__(
-        self, node: Node, cell: Cell, procedure: ActionClient, activate: Any, runs: Path, group: Any, predicted_limit: float
+        self, node: Node, cell: Cell, procedure: ActionClient, activate: Any, runs: Path, group: Any, limits: Limits
     ) -> None:
-        """predicted_limit: m, that a model may predict over its envelope before it is put in force."""
-        self._node, self._cell, self._predicted_limit = node, cell, predicted_limit
+        """group: callback group of its subscriptions and clients."""
+        self._node, self._cell, self._limits = node, cell, limits
         self._procedure, self._activate = procedure, activate
         self._runs = runs
         self._recording = ""  # of the run of procedure_node that is under way
@@ -118,7 +132,7 @@ class RosCell:
 
     def lateral_factor(self, poses: PoseList, most: float) -> float:
         """See `CellSide.lateral_factor`."""
-        return largest_lateral(self._cell, read_settings(self._cell), poses, most)
+        return largest_lateral(self._cell, read_settings(self._cell), poses, min(most, self._limits.lateral))
 
     # --- measuring --------------------------------------------------------------------------------------------------
 
@@ -198,7 +212,7 @@ class RosCell:
     def activate(self, model_path: Path) -> str:
         """Empty where the model is plausible and the correction has taken it, else the reason."""
         try:
-            check_before_force(model_path, self._cell, self._predicted_limit)
+            check_before_force(model_path, self._cell, self._limits.predicted)
         except IrecError as error:
             return str(error)
         if not self._activate.wait_for_service(timeout_sec=ANSWER_WAIT):

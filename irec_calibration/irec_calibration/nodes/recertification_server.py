@@ -27,7 +27,7 @@ from ..recertification.run_state import interrupted
 from ..recertification.store import Store
 from ..session import read_session
 from .caller_watch import CallerWatch
-from .cell_side import Report, RosCell
+from .cell_side import Limits, Report, RosCell
 
 UNCHANGED = "The calibration in force was not changed."
 GO_ON_LATER = f"to go on after the last complete pose, {RESUME}."
@@ -36,8 +36,8 @@ GO_ON_LATER = f"to go on after the last complete pose, {RESUME}."
 class RecertificationServer:
     """`irec/recertify` (action), `irec/recalibrate` and `irec/put_in_force` (services) of a node."""
 
-    def __init__(self, node: GuardedNode, cell: Cell, folder: Path, group: Any, predicted_limit: float) -> None:
-        """predicted_limit: m, that a model may predict over its envelope before it is put in force."""
+    def __init__(self, node: GuardedNode, cell: Cell, folder: Path, group: Any, limits: Limits) -> None:
+        """group: callback group of its services and clients."""
         self._node, self._cell = node, cell
         tool = Tool(cell.tool_name, cell.payload, cell.marker_in_tool)
         operators = tuple(str(name) for name in cell.raw.get("operators", ()))
@@ -45,7 +45,7 @@ class RecertificationServer:
         self.store = Store(folder, cell.serial)
         procedure = ActionClient(node, RunProcedure, "irec/run_procedure", callback_group=group)
         activate = node.create_client(ActivateModel, "irec/correction/activate_model", callback_group=group)
-        self._side = RosCell(node, cell, procedure, activate, self.store.folder / "runs", group, predicted_limit)
+        self._side = RosCell(node, cell, procedure, activate, self.store.folder / "runs", group, limits)
         self._busy = threading.Lock()
         self._action = ActionServer(
             node, Recertify, "irec/recertify", callback_group=group,

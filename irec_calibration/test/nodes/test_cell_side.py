@@ -16,6 +16,7 @@ pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`
 import rclpy
 from irec_calibration.cell import read_cell
 from irec_calibration.nodes import cell_side
+from irec_calibration.poses.store import read_poses
 from irec_ros.guard import GuardedNode
 from rclpy.action import ActionClient, ActionServer
 
@@ -49,7 +50,7 @@ def side(monkeypatch: pytest.MonkeyPatch) -> cell_side.RosCell:
     monkeypatch.setattr(cell_side, "ACTIVATE_WAIT", 0.9)
     monkeypatch.setattr(cell_side, "check_before_force", lambda *_: None)
     made = cell_side.RosCell.__new__(cell_side.RosCell)
-    made._cell, made._predicted_limit = None, 0.02  # type: ignore[assignment]
+    made._cell, made._limits = None, cell_side.Limits(0.02, 1.3)  # type: ignore[assignment]
     return made
 
 
@@ -65,7 +66,7 @@ def test_a_procedure_node_that_is_not_there_is_told_before_anything_moves(
         node = GuardedNode("alone")
         procedure = ActionClient(node, RunProcedure, "irec/run_procedure")
         activate = node.create_client(ActivateModel, "irec/correction/activate_model")
-        here = cell_side.RosCell(node, read_cell(CELL), procedure, activate, tmp_path, None, 0.02)
+        here = cell_side.RosCell(node, read_cell(CELL), procedure, activate, tmp_path, None, cell_side.Limits(0.02, 1.3))
         told = {p.name: (p.holds, p.text) for p in here.for_run(lambda *_: None, lambda: "", (), None, True).preconditions()}
         assert told == {
             "procedure_node": (False, "does not answer; start it"),
@@ -78,6 +79,13 @@ def test_a_procedure_node_that_is_not_there_is_told_before_anything_moves(
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize(("wanted", "factor"), [(1.3, 1.25), (1.1, 1.1), (1.0, 1.0)])
+def test_the_quick_check_presses_no_harder_than_the_parameter_says(side: cell_side.RosCell, wanted: float, factor: float) -> None:
+    cell = read_cell(CELL)
+    side._cell, side._limits = cell, cell_side.Limits(0.02, wanted)
+    assert side.lateral_factor(read_poses(cell.poses_path), 1.3) == factor
 
 
 @pytest.mark.parametrize("answered", [1, 2, 3])
