@@ -39,7 +39,7 @@ PARAMETERS = (
     ),  # fmt: skip
     P("predicted_limit", LARGEST_OFFSET, "largest deflection that a model may predict within its envelope", 1e-4, 0.5, unit="m"),
     P("quick_lateral", MOST_LATERAL,
-      "most forces across the tool in the quick check, times those of the load cases, as far as the limits of the cell file let it",
+      "most forces across the tool in the quick check, times those of the load cases, where the limits of the cell file let it",
       1.0, MOST_LATERAL),
 )  # fmt: skip
 
