@@ -22,6 +22,7 @@ AMPLITUDES = np.geomspace(0.1, 1000.0, 9)  # of the coefficients' prior, in unit
 SMALLEST = 1e-6  # whitened length of a column below which it can't show
 BAD_ROWS_TRIED = 25
 BAD_POSES_TRIED = 6
+STEPS_TRIED = 5  # moments at which a reflector may have been seated anew, of each marker
 LARGE = 6000  # equations beyond which columns are kept in single precision
 
 
@@ -39,7 +40,8 @@ class Structure:
         is_tilt: a link tilts across its axis: seldom, and hardly told from a law of an axis that is parallel to that.
         by_step: it turns the axis by the step just made, whatever the law: what effects of history are special forms of.
         is_drift: it follows time or a temperature whatever the force, wherever it acts: what a drift may also be.
-        is_bad_row: it moves a single row, a single reference or a single pose: a bad reading, not a cause; rows: of the session.
+        is_bad_row: it moves a single row, a single reference or a single pose, or the reflector from some row on: bad readings,
+            no cause; rows: of the session, where they are single ones.
     """
 
     variables: tuple[str, ...]
@@ -149,6 +151,10 @@ def family_of(study: Study) -> Family:
         structures.append(Structure((), words, slice(at, at + own.shape[1]), tried, is_bad_row=True, rows=rows))
         columns.append(own)
         at += own.shape[1]
+    for words, own, tried in _seated_anew(study):
+        structures.append(Structure((), words, slice(at, at + own.shape[1]), tried, is_bad_row=True))
+        columns.append(own)
+        at += own.shape[1]
     A = np.concatenate(columns, axis=1) if columns else np.zeros((len(study.bench.b), 0))
     return Family(tuple(structures), A.astype(np.float32) if len(A) > LARGE else A)
 
@@ -179,8 +185,33 @@ def _bad_rows(study: Study) -> Iterator[tuple[str, Array, int, BoolArray]]:
             yield f"all of pose {session.pose[k]}", np.concatenate(each, axis=1), len(np.unique(key)), key == k
 
 
-def _moved(study: Study, rows: BoolArray) -> Array:
-    """Whitened columns of a displacement of some observed rows, (equations, 3)."""
-    columns = np.eye(3) * (rows * TYPICAL_DISPLACEMENT)[:, None, None]
+def _seated_anew(study: Study) -> Iterator[tuple[str, Array, int]]:
+    """A reflector that was seated anew on the tool in an absolute session: from some row on it is elsewhere in the tool frame.
+
+    Of each marker the moments at which the residual in the tool frame steps most; words, columns, how many moments there are.
+    """
+    if study.ready.kind != "absolute":
+        return
+    observation, session = study.observation, study.session
+    R = observation.scene.kin.R_tool[observation.rows]
+    stamp, marker = session.stamp[observation.rows], session.marker[observation.rows]
+    residual = np.einsum("nji,nj->ni", R, study.fit.residual) / observation.whiten.sigma[:, None]
+    for m in np.unique(marker):
+        rows = np.flatnonzero(marker == m)
+        rows = rows[np.argsort(stamp[rows], kind="stable")]
+        n, before = len(rows), np.cumsum(residual[rows], axis=0)[:-1]
+        count = np.arange(1, n)
+        step = ((before - before[-1:] * (count / n)[:, None]) ** 2).sum(axis=1) * n / (count * (n - count))
+        for k in np.argsort(-step)[:STEPS_TRIED]:
+            row = rows[k + 1]
+            here = (marker == m) & (stamp >= stamp[row])
+            of = f"reflector {m} " if len(np.unique(marker)) > 1 else "the reflector "
+            words = f"{of}seated anew at pose {observation.pose[row]}, elsewhere on the tool from there on"
+            yield words, _moved(study, here, R), n - 1
+
+
+def _moved(study: Study, rows: BoolArray, R: Array | None = None) -> Array:
+    """Whitened columns of a displacement of some observed rows, (equations, 3); R: frame of it at each row, (m, 3, 3)."""
+    columns = (np.eye(3) if R is None else R) * (rows * TYPICAL_DISPLACEMENT)[:, None, None]
     out: Array = study.observation.whiten(columns).reshape(-1, 3)
     return out

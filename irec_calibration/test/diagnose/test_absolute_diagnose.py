@@ -25,6 +25,15 @@ def test_missing_joint_torsion_is_named():
     assert found.verdict.effects[0] == "joint_torsion"
 
 
+def test_a_reflector_that_is_seated_anew_is_listed_where_it_happened_and_is_no_cause():
+    def moved(measured, p):
+        return measured.robot.kinematics(measured.q).R_tool @ [8e-5, -6e-5, 4e-5] * (np.arange(len(p)) >= 50)[:, None]
+
+    verdict = diagnose(session(poses=80, noise=NOISE, moved=moved)).verdict
+    assert verdict.status == "adequate", verdict.text
+    assert "the reflector seated anew at pose 51," in verdict.text
+
+
 def test_a_model_is_compared_with_another_session_of_the_robot_whose_station_stands_elsewhere():
     model = model_of(identify(session(noise=NOISE), default_terms(session(poses=5))))
     other = session(poses=30, seed=9, noise=NOISE)
