@@ -101,6 +101,25 @@ def test_a_sensor_without_noise_and_lag_shows_no_teeth_in_its_samples(machining:
     np.testing.assert_allclose(shown.reading[:, 0], in_tool, atol=1.0)
 
 
+def test_secondary_encoders_leave_the_structure_to_the_model_and_less_error(afp: Calibrated) -> None:
+    """The joint angles behind the gears hold friction, play and creep already."""
+    cell = read_cell(afp.case.cell_path)
+    session = calibrated.link_session(afp.sim, cell, afp.hard.truth, afp.case.out / "session_links")
+    beyond, whole = calibrated.beyond_links(session, afp.case.out), calibrated.eighteen(afp.session, afp.case.out)
+    assert beyond.figures["cv_rms_m"] < 0.6 * whole.figures["cv_rms_m"]
+    for axis in ("c_2", "c_3"):
+        gear, left = (m.terms[0].estimates[axis].value for m in (whole, beyond))
+        assert left < 0.25 * gear
+    jobs = (
+        Job("18dof", COURSES["afp"], str(afp.case.out / "model_18dof.yaml")),
+        Job("links", COURSES["afp"], str(afp.case.out / "model_links.yaml"), links=True),
+    )
+    controllers = [corrected(afp.case, job, afp.ways) for job in jobs]
+    by_force, by_links = (figures(drive(afp.sim, afp.hard, afp.ways, c), cell.tolerance) for c in controllers)
+    assert by_links.mean < 0.75 * by_force.mean
+    assert controllers[1].told()["findings"] == 0
+
+
 def test_a_model_of_the_arm_in_motion_foretells_other_courses_better_than_one_of_the_standing_arm(afp: Calibrated) -> None:
     """Friction holds a part of the compliance of a standing arm only."""
     train, other = (

@@ -19,6 +19,7 @@ from .conditioning import Conditioner
 from .deflection import Deflection
 from .errors import ActivationError, SettingsError
 from .limits import OffsetLimiter, OffsetLimits
+from .links import Links
 from .preview import Preview
 from .spring_chain import build_chain
 from .state import State, StateTimes, Supervisor
@@ -93,6 +94,7 @@ class Correction:
 
     Attributes:
         preview: force that is known from earlier courses, or None.
+        links: secondary encoders, or None.
     """
 
     def __init__(self, settings: CorrectionSettings, robot: Robot, conditioner: Conditioner) -> None:
@@ -104,6 +106,7 @@ class Correction:
         self.counts = Counts()
         self.deflection: Deflection | None = None
         self.preview: Preview | None = None
+        self.links: Links | None = None
         self._ahead = _Lead(settings.lead, settings.lead_smoothing, settings.lead_limit)
         self._q = np.zeros(robot.n_joints)
         self._rail = 0.0
@@ -195,6 +198,14 @@ class Correction:
                 self._kinematics.update(q)
                 self._R_tool, self._oriented = self._kinematics.R_tool, True
 
+    def take_links(self, now: float, windup: Array) -> None:
+        """What secondary encoders tell of the gears, as `Links.take`; what can't be believed holds the offset."""
+        wrong = self.links.take(now, windup) if self.links is not None else ""
+        if wrong:
+            self.watchdog.refuse("secondary encoders", Fault.JOINTS_NOT_FINITE, wrong)
+        else:
+            self.watchdog.clear("secondary encoders")
+
     # -- output --------------------------------------------------------------------------------------------------------
 
     def tick(self, now: float) -> Output:
@@ -206,6 +217,8 @@ class Correction:
         self.counts.late += dt > 2.0 * period
         if dt > HELD_UP and self.supervisor.state is not State.INACTIVE:
             self.watchdog.note(Fault.HELD_UP, f"no tick for {dt:.2f} s: this process was held up, or the clock was set")
+        if self.links is not None and self.links.is_late(now):
+            self.watchdog.refuse("secondary encoders", Fault.JOINTS_STALE, "no windup from the secondary encoders")
         finding: Finding | None = self.watchdog.finding(now, self._wrench)
         if finding is None and self.deflection is not None:
             finding = self._predict(self.deflection, min(max(dt, 0.0), period))
@@ -232,6 +245,8 @@ class Correction:
         wrench = self._wrench if self.preview is None else self._wrench + self.preview.step(self._q)
         try:
             u, turn = deflection(self._q, wrench[:3], wrench[3:], dt, self._rail)
+            if self.links is not None:
+                u = u + self.links.displacement(self._q)
             if math.isfinite(u.dot(u) + turn.dot(turn)):
                 self._u, self._turn = u, turn
                 return None

@@ -62,6 +62,7 @@ class Rows:
         station: index of the station of each pose, (N,).
         shifted: rows after a station was bumped, (N, M + 1) bool.
         q_before: where each pose's reference was approached from, (N, joints), rad.
+        q_link: angles behind the gears, as secondary encoders read them without noise, rad.
     """
 
     q: Array
@@ -74,6 +75,7 @@ class Rows:
     station: Array
     shifted: BoolArray
     q_before: Array
+    q_link: Array
 
     @property
     def deflection(self) -> Array:
@@ -116,7 +118,7 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
     for _ in range(4):
         pose = forward(chain, q)
         q = q + _solve(pose.jacobian(), p_reference - pose.p_tcp)
-    collected: dict[str, list[Array]] = {k: [] for k in ("q", "controller", "marker", "distance", "reading", "tcp")}
+    collected: dict[str, list[Array]] = {k: [] for k in ("q", "controller", "marker", "distance", "reading", "tcp", "link")}
     shifted = _after_shift(schedule, sensing)
     state: State | None = None
     frees = np.isfinite(physics.plant.release)
@@ -169,11 +171,13 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
         collected["marker"].append(measured)
         collected["distance"].append(distance)
         collected["reading"].append(reading)
+        collected["link"].append(motor + state.e[:, plant.axial])
         collected["tcp"].append(frames.p_tcp - beyond_reported(sensing, controller.jacobian(), step))
     stacked = {k: np.stack(v, axis=1) for k, v in collected.items()}
     return Rows(
         stacked["q"], stacked["controller"], stacked["marker"], stacked["distance"], stacked["reading"], schedule.force,
         stacked["tcp"], schedule.station, shifted, q if q_before is None else q_before,
+        stacked["link"],
     )  # fmt: skip
 
 

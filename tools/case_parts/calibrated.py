@@ -8,6 +8,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,8 @@ from irec_sim.truth import Truth
 from irec_calibration import diagnose
 
 from .through_nodes import record
+
+ENCODER = 2e-6  # rad, noise of a secondary encoder
 
 
 def planned_poses(sim: CellFile, cell: Cell) -> Poses:
@@ -59,6 +62,20 @@ def recorded_session(cell: Cell, truth: Truth, truth_path: Path, folder: Path, s
     return _kept(cell, truth, folder, "nodes", measure)
 
 
+def link_session(sim: CellFile, cell: Cell, truth: Truth, folder: Path, seed: int = 11) -> Path:
+    """The same of a robot with secondary encoders: the joint angles are those behind the gears."""
+
+    def write(half: Path) -> None:
+        made, rng = _generated(sim, cell, truth, seed), np.random.default_rng([seed, 7])
+        for k, (one, rows) in enumerate(zip(made.passes, made.rows, strict=True)):
+            q = rows.q_link + rng.normal(0.0, ENCODER, rows.q_link.shape)
+            p = forward(sim.chain, q.reshape(-1, q.shape[-1])).p_tcp.reshape(*q.shape[:2], 3)
+            made.passes[k] = replace(one, q=q, p_controller=p)
+        write_session(made, half, folder.name)
+
+    return _kept(cell, truth, folder, "links", write)
+
+
 def _generated(sim: CellFile, cell: Cell, truth: Truth, seed: int) -> Generated:
     return generate(sim, truth, 1, seed, at=planned_poses(sim, cell))
 
@@ -73,8 +90,9 @@ def _kept(cell: Cell, truth: Truth, folder: Path, how: str, measure: Callable[[P
     mark, digest = folder.with_name(folder.name + ".sha256"), _digest(cell, truth, how)
     if (folder / "samples.csv").is_file() and mark.is_file() and mark.read_text() == digest:
         return folder
-    for old in folder.parent.glob("model_*.yaml"):
-        old.unlink()
+    stale = [folder.parent / "model_links.yaml"] if how == "links" else folder.parent.glob("model_*.yaml")
+    for old in stale:
+        old.unlink(missing_ok=True)
     half = folder.with_name(folder.name + ".part")
     for there in (half, folder):
         shutil.rmtree(there, ignore_errors=True)
@@ -89,6 +107,11 @@ def solved(session: Path, effects: tuple[str, ...] | list[str], path: Path) -> M
     if not path.is_file():
         save_model(diagnose.solved(read_session(session), blank_model(list(effects)))[0], path)
     return load_model(path)
+
+
+def beyond_links(session: Path, folder: Path) -> Model:
+    """Of what lies beyond the secondary encoders of a session with link-side angles: the structure."""
+    return solved(session, EIGHTEEN_DOF, folder / "model_links.yaml")
 
 
 def six(session: Path, folder: Path) -> Model:

@@ -64,6 +64,12 @@ class Corrected:
             self.states[tick.state] += 1
         return out
 
+    def take_links(self, now: float, windup: Array) -> None:
+        """As `irec_sim.production.runner.ReadsLinks`; chains without secondary encoders don't look."""
+        for chain, one in zip(self.chains, windup, strict=True):
+            if chain.links is not None:
+                chain.take_links(now + 10.0, one)
+
     def _begin(self, now: float, wrench: Array, q: Array, rail: Array) -> None:
         """In force before the course, as in production: ramped in, filters settled."""
         for i, chain in enumerate(self.chains):
@@ -73,6 +79,7 @@ class Corrected:
                 t = now - k * period
                 chain.take_joints(t, t, q[i], float(rail[i]))
                 chain.take_wrench(t, t, "", wrench[i] + 1e-6 * (k % 7))
+                chain.take_links(t, np.zeros(q.shape[1]))  # no process yet
                 chain.tick(t)
         self._started = True
 

@@ -104,6 +104,11 @@ def _table_one(found: Found) -> Section:
         f"deflection at each "
         "moment, on the same channel with the same delay: what no better static model can beat."
     ]
+    text.append(
+        "Secondary encoders: joint angles are read behind the gears, in calibration (session_links, generated directly) and in "
+        "the correction, as the windup since a dry drive of the same course; the model is of the structure beyond. The windup is "
+        "read slowly (3 Hz), because the offset shakes what the encoders read: fast changes of force are left."
+    )
     if found.case == "machining":
         text.append(
             "A remark on the paper: with a mean of 0.101 mm and a maximum of 0.520 mm no standard deviation above "

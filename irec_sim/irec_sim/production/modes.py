@@ -27,12 +27,13 @@ class ModalForm:
 
     Attributes:
         omega: rad/s, (n, m); at_tcp: translation of the TCP per mode, (n, m, 3), mass-normalised; by_motor: phi^T M
-        B, (n, m, joints).
+        B, (n, m, joints). axial: windup of each gear per mode, (n, m, joints).
     """
 
     omega: Array
     at_tcp: Array
     by_motor: Array
+    axial: Array
 
 
 def mass_matrix(plant: Plant, q: Array, gyration: Array) -> Array:
@@ -90,11 +91,14 @@ def modes_at(plant: Plant, q: Array, settings: Modes, count: int | None = None) 
         inverse_square, V = np.linalg.eigh(Ms / np.outer(root, root))
         omega = 1.0 / np.sqrt(np.maximum(inverse_square[::-1], 1e-12))
         phi = (V[:, ::-1] / root[:, None]) * omega  # phi^T M phi = 1
-        forms.append((omega, phi.T @ frames.lever[i, soft], phi.T @ M[i][np.ix_(soft, plant.axial)]))
+        whole = np.zeros((plant.dof, n))
+        whole[soft] = phi
+        by_motor = phi.T @ M[i][np.ix_(soft, plant.axial)]
+        forms.append((omega, phi.T @ frames.lever[i, soft], by_motor, whole[plant.axial].T))
     omega = np.array([f[0] for f in forms])
     m = count or max(1, int((omega < 2.0 * np.pi * settings.highest).sum(axis=1).max()))
     m = min(m, n)
-    return ModalForm(omega[:, :m], np.array([f[1][:m] for f in forms]), np.array([f[2][:m] for f in forms]))
+    return ModalForm(omega[:, :m], *(np.array([f[k][:m] for f in forms]) for k in (1, 2, 3)))
 
 
 class FollowedModes:
@@ -110,6 +114,7 @@ class FollowedModes:
         self._omega = np.array([f.omega for f in forms])
         self._tcp = np.array([f.at_tcp for f in forms])
         self._motor = np.array([f.by_motor for f in forms])
+        self._axial = np.array([f.axial for f in forms])
 
     @property
     def hertz(self) -> Array:
@@ -120,7 +125,7 @@ class FollowedModes:
         """Modes of all rows at a step, between the postures linear."""
         i = int(np.clip(np.searchsorted(self._at, step, side="right") - 1, 0, len(self._at) - 2))
         u = (step - self._at[i]) / (self._at[i + 1] - self._at[i])
-        return ModalForm(*((1.0 - u) * x[i] + u * x[i + 1] for x in (self._omega, self._tcp, self._motor)))
+        return ModalForm(*((1.0 - u) * x[i] + u * x[i + 1] for x in (self._omega, self._tcp, self._motor, self._axial)))
 
 
 def _followed(before: ModalForm, now: ModalForm) -> ModalForm:
@@ -138,7 +143,8 @@ def _followed(before: ModalForm, now: ModalForm) -> ModalForm:
             left[a, :] = left[:, b] = -1.0
     rows = np.arange(len(alike))[:, None]
     return ModalForm(
-        now.omega[rows, order], now.at_tcp[rows, order] * sign[..., None], now.by_motor[rows, order] * sign[..., None]
+        now.omega[rows, order],
+        *(x[rows, order] * sign[..., None] for x in (now.at_tcp, now.by_motor, now.axial)),
     )
 
 

@@ -7,9 +7,10 @@ offset as the motors follow it; then the sensor reads, and a controller from out
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from .ways import PERIOD, Ways
 
 _GEOMETRY = 12  # steps for which lever arms hold: 4 mm of way
 _SPRINGS = 3  # steps between two solutions of the nonlinear springs
+_ENCODER = 2e-6  # rad, noise of a secondary encoder: 0.4 arc seconds
 _REST = 60  # steps between the relaxed states that the deviation is told against
 
 
@@ -35,6 +37,15 @@ class Controller(Protocol):
 
     def step(self, now: float, wrench: Array, q: Array, rail: Array) -> Array:
         """Offsets in base_link, (rows, 3), m, for wrenches at the TCP in tool0 (rows, 6) and joint angles (rows, n)."""
+        ...
+
+
+@runtime_checkable
+class ReadsLinks(Protocol):
+    """A controller with secondary encoders, one on the link's side of each gear."""
+
+    def take_links(self, now: float, windup: Array) -> None:
+        """Link-side minus motor-side angles, less what they were there on a dry drive, (rows, n), rad; before each `step`."""
         ...
 
 
@@ -117,6 +128,7 @@ class _Run:
             self.oscillators = Oscillators(rows, self.modes.hertz.shape[2], hard.modes.damping)
         self.sensor = Sensor(hard.sensor, rows, np.random.default_rng([seed, 3]))
         self.path = OffsetPath(hard.channel, rows, np.random.default_rng([seed, 4]))
+        self.encoders, self.wound_dynamic = np.random.default_rng([seed, 6]), np.zeros((rows, n))
         shape = (steps, rows, 3)
         self.out = {name: np.zeros(shape) for name in ("deviation", "static", "offset", "sent", "force", "reading")}
         self.sent, self.dynamic, self.seed = np.zeros((rows, 3)), np.zeros((rows, 3)), seed
@@ -140,6 +152,8 @@ class _Run:
         if isinstance(controller, Oracle):
             self.sent = -static
         elif controller is not None:
+            if isinstance(controller, ReadsLinks):
+                controller.take_links(k * PERIOD, self._windup(force))
             wrench = np.concatenate([reading, np.zeros_like(reading)], axis=1)
             self.sent = controller.step(k * PERIOD, wrench, q, ways.rail)
         for name, value in (
@@ -154,7 +168,8 @@ class _Run:
         if k % _GEOMETRY == 0:
             self.frames = plant.frames(q, self.state.e)
             self.jacobian = np.linalg.pinv(forward(plant.chain, q).jacobian())[:, :, :3]
-            self.linear = plant.tcp_compliance(self.frames, plant.compliance(q, self.idle))
+            compliance = plant.compliance(q, self.idle)
+            self.linear, self.soft = plant.tcp_compliance(self.frames, compliance), compliance[:, plant.axial]
         if k % _SPRINGS == 0:
             conditions = replace(self.idle, force=force, process_on=np.abs(force).max(axis=1) > 1.0)
             c = plant.compliance(q, conditions)
@@ -163,7 +178,7 @@ class _Run:
             begin = plant.released(self.frames, q, conditions, self.state, moved) if frees else self.state
             self.state, _ = plant.respond(self.frames, q, conditions, begin, c, _SPRINGS * PERIOD)
             change = self.state.e - self.rest.at(k)
-            self.solved = (change[:, None, :] @ self.frames.lever)[:, 0], force
+            self.solved, self.wound = ((change[:, None, :] @ self.frames.lever)[:, 0], force), change[:, plant.axial]
         answer, solved_for = self.solved
         return np.asarray(answer + (self.linear @ (force - solved_for)[:, :, None])[..., 0])
 
@@ -175,7 +190,17 @@ class _Run:
         pushed = (form.at_tcp @ force[:, :, None])[..., 0]
         motors = (self.jacobian @ self.path.acceleration[:, :, None])[..., 0]
         self.oscillators.step(form.omega, pushed - (form.by_motor @ motors[:, :, None])[..., 0], PERIOD)
-        self.dynamic = (form.at_tcp.swapaxes(1, 2) @ (self.oscillators.eta - pushed / form.omega**2)[:, :, None])[..., 0]
+        swinging = (self.oscillators.eta - pushed / form.omega**2)[:, :, None]
+        self.dynamic = (form.at_tcp.swapaxes(1, 2) @ swinging)[..., 0]
+        self.wound_dynamic = (form.axial.swapaxes(1, 2) @ swinging)[..., 0]
+
+    def _windup(self, force: Array) -> Array:
+        """What secondary encoders tell of the gears, (rows, joints), rad: windup since the dry drive, read twice."""
+        plant = self.plant
+        (_, solved_for), axial = self.solved, plant.axial
+        torque = (self.frames.lever[:, axial] @ (force - solved_for)[:, :, None])[..., 0]
+        wound = self.wound + self.soft * torque + self.wound_dynamic
+        return wound + self.encoders.normal(0.0, math.sqrt(2.0) * _ENCODER, wound.shape)
 
     def _tooth(self, k: int) -> Array:
         """Tooth passing and run-out of the cutter as the samples show them (they fold), (rows, 3), N."""
