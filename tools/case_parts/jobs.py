@@ -16,6 +16,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from demo_parts.processes import die_with_parent
 from irec_calibration.cell import read_cell
 from irec_correction.conditioning import FilterSettings, make_filters
 from irec_correction.correction import CorrectionSettings
@@ -195,7 +196,7 @@ def run_jobs(case: Case, jobs: Sequence[Job], say: Callable[[str], None], proces
         return
     begun = time.monotonic()
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
-    pool = ProcessPoolExecutor(min(processes, len(left)), mp_context=get_context("spawn"))
+    pool = ProcessPoolExecutor(min(processes, len(left)), mp_context=get_context("spawn"), initializer=die_with_parent)
     try:
         waiting: dict[Future[str], Job] = {pool.submit(run_job, case, job): job for job in left}
         while waiting:

@@ -39,7 +39,7 @@ class Processes:
             arguments += ["-r", f"{key}:={value}"]
         with open(self._folder / f"{name}.log", "wb") as log:
             self._running[name] = subprocess.Popen(
-                arguments, stdout=log, stderr=subprocess.STDOUT, env=self._environment, start_new_session=True, preexec_fn=_mortal
+                arguments, stdout=log, stderr=subprocess.STDOUT, env=self._environment, start_new_session=True, preexec_fn=die_with_parent
             )
 
     def check(self) -> None:
@@ -67,8 +67,8 @@ class Processes:
         self._running.clear()
 
 
-def _mortal() -> None:
-    """A node ends, in order, when the process that started it is killed and can't end it."""
+def die_with_parent() -> None:
+    """In a process that was just started: end, in order, when the one that started it is killed and can't end it."""
     if _LIBC is not None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM), 0, 0, 0)
 
