@@ -36,7 +36,8 @@ def main() -> int:
     parser.add_argument("--no-nodes", action="store_true", help="generate the calibration session directly, without ROS")
     parser.add_argument("--costs", action="store_true", help="print what each cause of the hard plant costs alone")
     args = parser.parse_args()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):  # also where SIGINT was ignored by who started this
+        signal.signal(number, signal.default_int_handler)
     case = Case(args.case, (args.out or ROOT / "out" / f"case-{args.case}").resolve(), max(1, args.every))
     try:
         if args.fresh:

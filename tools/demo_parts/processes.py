@@ -39,7 +39,12 @@ class Processes:
             arguments += ["-r", f"{key}:={value}"]
         with open(self._folder / f"{name}.log", "wb") as log:
             self._running[name] = subprocess.Popen(
-                arguments, stdout=log, stderr=subprocess.STDOUT, env=self._environment, start_new_session=True, preexec_fn=die_with_parent
+                arguments,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,
+                preexec_fn=die_with_parent,
             )
 
     def check(self) -> None:
