@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tools"))
 
-from case_parts import calibrated  # noqa: E402
+from case_parts import calibrated, learned  # noqa: E402
 from case_parts.jobs import Case, Job, corrected, filters_of  # noqa: E402
 from case_parts.moving import moving_session  # noqa: E402
 from case_parts.story import courses_of  # noqa: E402
@@ -21,9 +21,11 @@ from case_parts.table import Figures, figures, outside_bands  # noqa: E402
 from irec_calibration.cell import read_cell  # noqa: E402
 from irec_calibration.identification.observe import observe  # noqa: E402
 from irec_calibration.model import EIGHTEEN_DOF, blank_model  # noqa: E402
+from irec_calibration.model.file import save_model  # noqa: E402
 from irec_calibration.recertification.judgement import residual_of  # noqa: E402
 from irec_calibration.sensors.structure import frequency_response  # noqa: E402
 from irec_calibration.session import read_session  # noqa: E402
+from irec_correction.ahead import design  # noqa: E402
 from irec_sim.cellfile import CellFile  # noqa: E402
 from irec_sim.cellfile import read_cell as read_sim_cell  # noqa: E402
 from irec_sim.errors import SimError  # noqa: E402
@@ -132,6 +134,35 @@ def test_a_model_of_the_arm_in_motion_foretells_other_courses_better_than_one_of
     observation = observe(read_session(other))
     left = [float(np.linalg.norm(residual_of(m, observation), axis=1).mean()) for m in (standing, moving)]
     assert left[1] < 0.85 * left[0]
+
+
+def test_each_step_of_the_ladder_takes_the_mean_down_on_courses_that_it_was_not_learnt_from(afp: Calibrated) -> None:
+    rows, lead = (8, 9, 10, 11), 0.033
+    ways = make_ways(afp.sim, afp.hard.process).only(np.array(rows))
+    dry = drive(afp.sim, afp.hard, ways)
+    train, held = np.array([0, 2]), np.array([1, 3])
+    session = moving_session(afp.sim.chain, dry, train, afp.session, afp.case.out / "ladder")
+    save_model(
+        diagnose.solved(read_session(session), blank_model([*EIGHTEEN_DOF, "joint_backlash"]))[0], afp.case.out / "ladder.yaml"
+    )
+    profile = learned.profile_of(dry, train)
+    force, noise = learned.unsteady(afp.case, dry, train, profile)
+    others = ways.only(held)
+    some = (9, 11)
+    table = learned.write_profiles(profile, others, np.array(some), afp.case.out / "ladder.npz")
+    found = design(force, 1.0 / PERIOD, lead, noise, compliance=3e-6, acceleration=0.17)
+    jobs = [Job("standing", some, str(afp.case.out / "model_18dof.yaml"))]
+    jobs.append(Job("moving", some, str(afp.case.out / "ladder.yaml")))
+    jobs.append(replace(jobs[-1], tare=0.2))
+    jobs.append(replace(jobs[-1], profiles=str(table), ahead=lead + 0.005, slack=2.0 * profile.spread))
+    jobs.append(replace(jobs[-1], ahead=lead, taps=tuple((found.taps / found.taps.sum()).tolist())))
+    left = []
+    for job in jobs:
+        controller = corrected(afp.case, job, others)
+        left.append(1e3 * figures(drive(afp.sim, afp.hard, others, controller), 3e-4).mean)
+        assert controller.told()["active_share"] > 0.999  # the model's range covers where the courses begin
+    assert np.all(np.diff(left) < 1.0), left  # um
+    assert left[-1] < 0.75 * left[0]
 
 
 def test_an_offset_reaches_the_standing_arm_as_late_as_transport_and_drives_are(afp: Calibrated) -> None:

@@ -22,41 +22,7 @@ from irec_calibration.typing import Array
 from scipy import linalg, signal
 
 from .errors import SettingsError
-
-LONGEST = 250  # taps
-
-
-class Fir:
-    """Weighted sum of the last samples, newest first; gain one at zero frequency. `delay` is negative where it looks ahead."""
-
-    def __init__(self, taps: Array, rate: float, name: str = "designed filter") -> None:
-        """Args: taps: (n,), newest sample first; rate: Hz. Raises SettingsError."""
-        self.taps = np.asarray(taps, dtype=float)
-        if self.taps.ndim != 1 or not 1 <= len(self.taps) <= LONGEST or not np.isfinite(self.taps).all():
-            raise SettingsError(f"a designed filter has 1 to {LONGEST} finite taps, not {np.shape(taps)}")
-        if abs(self.taps.sum() - 1.0) > 1e-6:
-            raise SettingsError(
-                f"the taps of a designed filter sum to {self.taps.sum():.6f}; a constant force must pass unchanged"
-            )
-        if np.abs(self.taps).sum() > 50.0:
-            raise SettingsError(f"the taps of a designed filter sum to {np.abs(self.taps).sum():.0f} in size; 50 is allowed")
-        self.name = name
-        self.delay = float(self.taps @ np.arange(len(self.taps)) / rate)
-        self._past: Array | None = None
-        self._at = 0
-
-    def reset(self) -> None:
-        """Begin anew: the next sample is taken as having stood for ever."""
-        self._past = None
-
-    def step(self, sample: Array) -> Array:
-        """One sample (6,)."""
-        n = len(self.taps)
-        if self._past is None:
-            self._past = np.tile(sample, (2 * n, 1))
-        self._at = (self._at - 1) % n
-        self._past[self._at] = self._past[self._at + n] = sample  # twice, so that the last n lie in one piece
-        return np.asarray(self.taps @ self._past[self._at : self._at + n])
+from .fir import LONGEST
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from irec_calibration.robot import Robot, parent_joint
 from irec_calibration.sensors.tool_load import ToolLoad
 from irec_calibration.typing import Array
 
-from .ahead import Fir
 from .errors import SettingsError
 from .filters import Filter, Median, low_pass, spindle_notches
+from .fir import Fir
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,8 @@ class FilterSettings:
         spindle_speed: 1/s, 0 for none; harmonics: notches; notch_quality: frequency / bandwidth.
         cutoff: of the low-pass, Hz, 0 for none; order.
         taps: of a designed filter in place of the low-pass (`ahead.design`), newest sample first; (1.0,) for none.
+        posture_taps: of one with other taps for each axis of the force and at each posture (`course_filter.learn`), in place of
+            `taps`: postures, taps, axes; postures: joint angles, rad.
     """
 
     rate: float = 250.0
@@ -97,6 +99,13 @@ class FilterSettings:
     cutoff: float = 40.0
     order: int = 2
     taps: Sequence[float] = (1.0,)
+    posture_taps: Sequence[Sequence[Sequence[float]]] = ()
+    postures: Sequence[Sequence[float]] = ()
+
+    @property
+    def designed(self) -> bool:
+        """Whether a designed filter takes the place of the low-pass."""
+        return len(self.taps) != 1 or len(self.posture_taps) > 0
 
 
 def make_filters(s: FilterSettings) -> list[Filter]:
@@ -108,7 +117,11 @@ def make_filters(s: FilterSettings) -> list[Filter]:
         out.append(Median(s.median, s.rate))
     if s.spindle_speed:
         out += spindle_notches(s.spindle_speed, s.harmonics, s.notch_quality, s.rate)
-    if len(s.taps) != 1:
+    if len(s.posture_taps):
+        out.append(
+            Fir(np.array(s.posture_taps, dtype=float), s.rate, np.array(s.postures, dtype=float).reshape(len(s.posture_taps), -1))
+        )
+    elif s.designed:
         out.append(Fir(np.array(s.taps, dtype=float), s.rate))
     elif s.cutoff:
         out.append(low_pass(s.cutoff, s.order, s.rate))
@@ -116,7 +129,11 @@ def make_filters(s: FilterSettings) -> list[Filter]:
 
 
 class Conditioner:
-    """All stages in a row, for a wrench that is either already at the TCP or raw in the sensor frame."""
+    """All stages in a row, for a wrench that is either already at the TCP or raw in the sensor frame.
+
+    Attributes:
+        unfiltered: the last wrench at the TCP before the filters, (6,), N and N m.
+    """
 
     def __init__(
         self,
@@ -132,11 +149,18 @@ class Conditioner:
         self.load = load if load is not None else ToolLoad()
         self.cable = cable if cable is not None else Cable()
         self._gravity = np.asarray(gravity_in_base, dtype=float)
+        self.unfiltered = np.zeros(6)
 
     def reset(self) -> None:
         """Forget what the filters hold."""
         for f in self.filters:
             f.reset()
+
+    def place(self, q: Array) -> None:
+        """The robot is at joint angles q (joints,), rad."""
+        for f in self.filters:
+            if isinstance(f, Fir):
+                f.place(q)
 
     def step(self, reading: Array, R_tool_in_base: Array) -> Array:
         """Process wrench at the TCP in tool0, (6,), from one reading (6,)."""
@@ -145,6 +169,7 @@ class Conditioner:
             R_sensor_in_tool, p_sensor_in_tool = self.sensor
             R = R_tool_in_base @ R_sensor_in_tool
             wrench = to_tcp(without_load(reading, self.load, self.cable, R, self._gravity), R_sensor_in_tool, p_sensor_in_tool)
+        self.unfiltered = wrench
         for f in self.filters:
             wrench = f.step(wrench)
         return wrench

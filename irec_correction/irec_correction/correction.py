@@ -194,6 +194,7 @@ class Correction:
         """Joint angles (k,), rad, and the external axis, m."""
         if self.watchdog.accept_joints(stamp, now, q, rail_position):
             self._q, self._rail = q, rail_position
+            self.conditioner.place(q)
             if self._kinematics is not None:
                 self._kinematics.update(q)
                 self._R_tool, self._oriented = self._kinematics.R_tool, True
@@ -242,7 +243,7 @@ class Correction:
 
     def _predict(self, deflection: Deflection, dt: float) -> Finding | None:
         """Deflection of now; a model that fails or gives no number is not asked again until the operator starts again."""
-        wrench = self._wrench if self.preview is None else self._wrench + self.preview.step(self._q)
+        wrench = self._wrench if self.preview is None else self._wrench + self.preview.step(self._q, self.conditioner.unfiltered)
         try:
             u, turn = deflection(self._q, wrench[:3], wrench[3:], dt, self._rail)
             if self.links is not None:

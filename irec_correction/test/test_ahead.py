@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from irec_correction.ahead import Fir, Response, design
+from irec_correction.ahead import Response, design
 from irec_correction.conditioning import FilterSettings, make_filters
 from irec_correction.errors import SettingsError
 from irec_correction.filters import low_pass
+from irec_correction.fir import Fir
 from irec_correction.preview import ForceProfile, Preview, read_profile
 from scipy import signal
 
@@ -107,6 +108,35 @@ def test_a_force_that_was_expected_is_answered_without_delay() -> None:
         ahead = seen + preview.step(p.q[k])
         worst = max(worst, abs(ahead[2] - p.wrench[k + round(lead * RATE), 2]))
     assert worst < 1.0
+
+
+@pytest.mark.parametrize("late", [-7, 0, 9])
+def test_a_touch_down_that_comes_sooner_or_later_is_followed_within_the_slack(late: int) -> None:
+    p, lead = profile(), 0.032
+    force = p.wrench[np.clip(np.arange(1000) - late, 0, 999)]
+    worst = []
+    for slack in (0.0, 0.06):
+        preview, stage, off = Preview(p, lead, [low_pass(20.0, 2, RATE)], slack=slack), low_pass(20.0, 2, RATE), []
+        for k in range(950):
+            ahead = stage.step(force[k]) + preview.step(p.q[k], force[k])
+            off.append(abs(ahead[2] - force[k + round(lead * RATE), 2]))
+        worst.append(max(off))
+    assert worst[1] < 0.75 * worst[0] if late else worst[1] < 1.0
+
+
+def test_a_profile_is_never_moved_beyond_its_slack_nor_by_noise_where_it_is_flat() -> None:
+    p, rng = profile(), np.random.default_rng(3)
+    preview, moved = Preview(p, 0.032, slack=0.02), []
+    for k in range(950):
+        preview.step(p.q[k], p.wrench[max(k - 20, 0)] + rng.normal(0.0, 30.0, 6))
+        moved.append(preview.shift)
+    assert max(np.abs(moved)) <= 0.02 / 0.004 + 1e-9
+    assert max(np.abs(moved[:250])) < 0.5  # before the touch-down
+
+
+def test_a_slack_out_of_range_is_refused() -> None:
+    with pytest.raises(SettingsError, match="slack of the force profile is 0.5 s"):
+        Preview(profile(), 0.03, slack=0.5)
 
 
 def test_a_robot_that_is_elsewhere_gets_nothing_added() -> None:

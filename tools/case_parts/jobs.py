@@ -21,6 +21,7 @@ from irec_calibration.cell import read_cell
 from irec_correction.conditioning import FilterSettings, make_filters
 from irec_correction.correction import CorrectionSettings
 from irec_correction.filters import Filter
+from irec_correction.fir import read_taps
 from irec_correction.limits import Bounds, OffsetLimits
 from irec_correction.links import Links
 from irec_correction.preview import ForceProfile, Preview
@@ -58,8 +59,10 @@ class Job:
 
     Attributes:
         rows: courses of the part, from 0. model: file, None without correction, "oracle" for the plant itself.
-        off: causes switched off. lead: s, extrapolated; taps: designed filter; profiles: npz of one force profile per course;
-        ahead: s, of the profiles.
+        off: causes switched off. lead: s, extrapolated; taps, filter_file: designed filter; profiles: npz of one force profile
+        per course; ahead: s, of the profiles; slack: s, by which they may be moved in time.
+        brisk: with the limits of `BRISK`. tare: s at the begin of a course, in which the force sensor is zeroed before contact;
+        0: not at all.
     """
 
     name: str
@@ -68,8 +71,12 @@ class Job:
     off: tuple[str, ...] = ()
     lead: float = 0.0
     taps: tuple[float, ...] = ()
+    filter_file: str | None = None
     profiles: str | None = None
     ahead: float = 0.0
+    slack: float = 0.0
+    brisk: bool = False
+    tare: float = 0.0
     seed: int = 0
     links: bool = False  # secondary encoders are read; the model is of what lies beyond them
 
@@ -87,8 +94,14 @@ def filters_of(case: Case) -> FilterSettings:
 LINK_FILTERS = FilterSettings(cutoff=3.0)
 
 
-def limits_of(case: Case) -> OffsetLimits:
+# cutting forces, and filters that undo what the arm does, need an offset that accelerates faster than the cautious default
+BRISK = OffsetLimits(translation=Bounds(3e-3, 0.1, 4.0))
+
+
+def limits_of(case: Case, brisk: bool = False) -> OffsetLimits:
     """Limits of the offset: cutting forces change faster than a roller's, so the offset may accelerate faster there."""
+    if brisk:
+        return BRISK
     return OffsetLimits(translation=Bounds(3e-3, 0.05, 2.0)) if case.name == "machining" else OffsetLimits()
 
 
@@ -115,9 +128,13 @@ def fingerprint(case: Case, job: Job) -> str:
     parts = [
         json.dumps(job.__dict__, sort_keys=True, default=str),
         str(case.seed),
-        repr((filters_of(case), limits_of(case), LINK_FILTERS)),
+        repr((filters_of(case), limits_of(case, job.brisk), LINK_FILTERS)),
     ]
-    for path in (case.truth_path, case.cell_path, *(Path(p) for p in (job.model, job.profiles) if p and p != "oracle")):
+    for path in (
+        case.truth_path,
+        case.cell_path,
+        *(Path(p) for p in (job.model, job.profiles, job.filter_file) if p and p != "oracle"),
+    ):
         parts.append(hashlib.sha256(path.read_bytes()).hexdigest())
     return hashlib.sha256("".join(parts).encode()).hexdigest()
 
@@ -161,8 +178,11 @@ def corrected(case: Case, job: Job, ways: Ways) -> Corrected:
     """The correction as this job configures it."""
     cell = read_cell(case.cell_path)
     filters = replace(filters_of(case), taps=job.taps or (1.0,))
-    settings = CorrectionSettings(lead=job.lead, lead_limit=3e-4, limits=limits_of(case))
-    made = Corrected(cell, Setup(Path(str(job.model)), settings, filters), len(job.rows))
+    if job.filter_file:
+        table = read_taps(job.filter_file, cell.robot.joint_names)
+        filters = replace(filters, posture_taps=table.taps.tolist(), postures=table.postures.tolist())
+    settings = CorrectionSettings(lead=job.lead, lead_limit=3e-4, limits=limits_of(case, job.brisk))
+    made = Corrected(cell, Setup(Path(str(job.model)), settings, filters, job.tare), len(job.rows))
     profiles = np.load(job.profiles) if job.profiles else None
     for i, chain in enumerate(made.chains):
         if job.links:
@@ -171,7 +191,7 @@ def corrected(case: Case, job: Job, ways: Ways) -> Corrected:
             steps = int(ways.driving[:, i].sum())
             wrench = np.zeros((steps, 6))
             wrench[:, :3] = profiles[f"course_{job.rows[i]}"][:steps]
-            chain.preview = Preview(ForceProfile(ways.q[:steps, i], wrench), job.ahead, make_filters(filters))
+            chain.preview = Preview(ForceProfile(ways.q[:steps, i], wrench), job.ahead, make_filters(filters), slack=job.slack)
     return made
 
 

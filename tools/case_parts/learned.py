@@ -5,18 +5,23 @@ drives."""
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from irec_calibration.commands.modes import structure_of
 from irec_calibration.errors import RecordingError
+from irec_calibration.sensors.force_profile import CommonForce, ForcedCourse, common_force
 from irec_calibration.sensors.latency import Latency, find_latency
 from irec_calibration.sensors.motion_recording import read_force_and_motion
 from irec_calibration.sensors.structure import Structure, frequency_response
 from irec_calibration.typing import Array
 from irec_correction.ahead import Design, Response, design
 from irec_correction.conditioning import make_filters
+from irec_correction.course_filter import impulse
 from irec_correction.filters import Filter
 from irec_sim.cellfile import read_cell
 from irec_sim.kinematics import forward
@@ -30,7 +35,7 @@ from .jobs import Case, filters_of, limits_of, stages_before
 
 SWEPT = (3.0, 28.0)  # Hz, in which responses are taken from sweeps
 BLOCK = 1000  # samples, over which they are averaged
-HEAD, TAIL = 2.0, 1.2  # s at either end of a course in which the profile goes by time, in between by the share of the way
+PLACES = (0.5, 0.15, 0.85)  # of the way, at which an offset is swept; the force at the first one only
 
 
 def _longest(drive: Drive, rows: Array) -> int:
@@ -53,73 +58,40 @@ def lead_of(case: Case, latency: Latency) -> float:
     return float(np.clip(latency.delay - filters[-1].delay, 0.0, 0.1))
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Expected force in the directions of the path: by time at the head and the tail, by the share of the way between, N."""
-
-    head: Array
-    tail: Array
-    middle: Array
-
-    def along(self, ways: Ways, i: int) -> Array:
-        """In tool0 at each step of course i, (n, 3), N."""
-        n = int(ways.driving[:, i].sum())
-        share = ways.way[:n, i] / ways.length[i]
-        grid = np.linspace(0.0, 1.0, len(self.middle))
-        local = np.stack([np.interp(share, grid, self.middle[:, k]) for k in range(3)], axis=1)
-        a, b = min(len(self.head), n // 2), min(len(self.tail), n // 2)
-        fade_a, fade_b = _fade(a)[:, None], _fade(b)[::-1][:, None]
-        local[:a] = self.head[:a] * fade_a + local[:a] * (1.0 - fade_a)
-        local[n - b :] = self.tail[len(self.tail) - b :] * fade_b + local[n - b :] * (1.0 - fade_b)
-        in_base = (ways.path[:n, i] @ local[:, :, None])[..., 0]
-        return (ways.R_tool[:n, i].swapaxes(1, 2) @ in_base[:, :, None])[..., 0]
-
-
-def _fade(n: int) -> Array:
-    """1, and over the last quarter down to 0."""
-    x = np.clip((np.arange(n) - 0.75 * n) / (0.25 * n), 0.0, 1.0)
-    return 1.0 - x * x * (3.0 - 2.0 * x)
-
-
-def profile_of(drive: Drive, rows: Array) -> Profile:
-    """Mean of the sensor's readings over the training courses."""
-    head, tail, middle = [], [], []
-    grid = np.linspace(0.0, 1.0, 201)
+def profile_of(drive: Drive, rows: Array) -> CommonForce:
+    """What the sensor's readings of the training courses have in common, in the directions of the path."""
+    courses = []
     for i in rows:
         n = int(drive.ways.driving[:, i].sum())
         in_base = (drive.ways.R_tool[:n, i] @ drive.reading[:n, i, :, None])[..., 0]
         local = (drive.ways.path[:n, i].swapaxes(1, 2) @ in_base[:, :, None])[..., 0]
-        a, b = round(HEAD / PERIOD), round(TAIL / PERIOD)
-        if n < a + b + 50:
-            continue
-        share = drive.ways.way[:n, i] / drive.ways.length[i]
-        head.append(local[:a])
-        tail.append(local[n - b :])
-        middle.append(np.stack([np.interp(grid, share, local[:, k]) for k in range(3)], axis=1))
-    mean = np.mean(middle, axis=0)
-    wide = np.ones(15) / 15.0  # of the 201 points, so that single courses' noise is not taken for the process
-    smooth = np.stack([np.convolve(np.pad(mean[:, k], 7, mode="edge"), wide, "valid") for k in range(3)], axis=1)
-    return Profile(np.mean(head, axis=0), np.mean(tail, axis=0), smooth)
+        courses.append(ForcedCourse(drive.ways.way[:n, i] / drive.ways.length[i], local))
+    return common_force(courses, PERIOD)
 
 
-def write_profiles(profile: Profile, ways: Ways, courses: Array, path: Path) -> Path:
+def expected(profile: CommonForce, ways: Ways, i: int) -> Array:
+    """Force in tool0 at each step of course i, (n, 3), N."""
+    n = int(ways.driving[:, i].sum())
+    local = profile.along(ways.way[:n, i] / ways.length[i], PERIOD)
+    in_base = (ways.path[:n, i] @ local[:, :, None])[..., 0]
+    return np.asarray((ways.R_tool[:n, i].swapaxes(1, 2) @ in_base[:, :, None])[..., 0])
+
+
+def write_profiles(profile: CommonForce, ways: Ways, courses: Array, path: Path) -> Path:
     """One expected force per course."""
-    np.savez(path, **{f"course_{c}": profile.along(ways, i) for i, c in enumerate(courses)})  # type: ignore[arg-type]
+    np.savez(path, **{f"course_{c}": expected(profile, ways, i) for i, c in enumerate(courses)})  # type: ignore[arg-type]
     return path
 
 
-def unsteady(case: Case, drive: Drive, rows: Array, profile: Profile) -> tuple[Array, float]:
+def unsteady(case: Case, drive: Drive, rows: Array, profile: CommonForce) -> tuple[Array, float]:
     """Force that no profile tells, (n, 3), N, in tool0 with the notches passed; and the sensor's noise before contact, N."""
     parts, quiet = [], []
     for i in rows:
         n = int(drive.ways.driving[:, i].sum())
-        stages = stages_before(filters_of(case))
-        left = drive.reading[:n, i] - profile.along(drive.ways, i)
-        for stage in stages:
-            left = np.array([stage.step(x) for x in left])
+        left = filtered(stages_before(filters_of(case)), drive.reading[:n, i] - expected(profile, drive.ways, i))
         inside = drive.counted[:n, i]
         parts.append(left[inside][125:-50])
-        quiet.append(drive.reading[: round(0.12 / PERIOD), i].std(axis=0))
+        quiet.append(left[: round(0.12 / PERIOD)].std(axis=0))
     return np.concatenate(parts), float(np.sqrt((np.array(quiet) ** 2).mean()))
 
 
@@ -138,34 +110,70 @@ class Shaken:
     structure: Structure | None
 
 
-def shaken_at(case: Case, ways: Ways, rows: Array) -> list[Shaken]:
-    """Shake the standing arm at three postures of the training courses; recordings tap_k.mcap and shake_k.npz stay."""
-    sim = read_cell(case.cell_path)
-    hard = read_hard(case.truth_path, sim)
-    found = []
-    for k, i in enumerate(rows[np.unique(np.linspace(0, len(rows) - 1, 3).astype(int))]):
-        step = int(0.5 * ways.driving[:, i].sum())
-        q, counts = ways.q[step, i], ways.counts[step, i]
-        digest = hashlib.sha256(case.truth_path.read_bytes() + case.cell_path.read_bytes() + q.tobytes()).hexdigest()[:12]
-        bag, table = case.out / f"tap_{k + 1}_{digest}.mcap", case.out / f"shake_{k + 1}_{digest}.npz"
-        if not (bag.is_file() and table.is_file()):
-            force, motion = tap(sim, hard, q, float(ways.rail[i]), seed=20 + k)
-            sent, moved = shake(sim, hard, q, float(ways.rail[i]), seed=30 + k)
-            np.savez(table, force=force, motion=motion, sent=sent, moved=moved)
-            pose = forward(sim.chain, q[None])
-            n = len(force)
-            p, R = np.tile(pose.p_tcp, (n, 1)), np.tile(pose.R_tool, (n, 1, 1))
-            write_bag(bag.with_suffix(".part"), force @ pose.R_tool[0], p, R, pose.p_tcp + motion)
-            bag.with_suffix(".part").replace(bag)
+def lead_by_answers(shaken: list[Shaken]) -> float:
+    """Delay between the answer to a force as it is read and the answer to an offset, below the modes, s: that of the sensor is in
+    it, which `irec latency` can't see."""
+    late = []
+    for s in shaken:
+        f = s.response.frequency
+        low = (f > SWEPT[0] + 0.3) & (f < 2.0 * SWEPT[0])
+        late.append(np.median(np.angle(s.response.to_force[low] / s.response.to_offset[low]) / (2.0 * np.pi * f[low])))
+    return float(np.clip(np.mean(late), 0.0, 0.2))
+
+
+@dataclass(frozen=True)
+class Swept:
+    """Postures (m, n), rad, and the answer of the TCP to an offset at each, (m, length, 3, 3)."""
+
+    postures: Array
+    impulses: Array
+
+
+def shaken_at(case: Case, ways: Ways, rows: Array, processes: int = 2) -> tuple[list[Shaken], Swept]:
+    """Shake the standing arm at nine postures of the training courses; recordings tap_k.mcap and shake_k.npz stay."""
+    courses = rows[np.unique(np.linspace(0, len(rows) - 1, 3).astype(int))]
+    places = [(int(i), int(share * ways.driving[:, i].sum()), share) for share in PLACES for i in courses]
+    jobs = [(case, ways.q[step, i], float(ways.rail[i]), k + 1, share == PLACES[0]) for k, (i, step, share) in enumerate(places)]
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        files = list(pool.map(_shake, jobs))
+    found, impulses = [], []
+    for (i, step, share), (bag, table) in zip(places, files, strict=True):
         data = np.load(table)
-        response, compliance = _response(case, counts, *(data[name] for name in ("force", "motion", "sent", "moved")))
+        f, _, to_offset = frequency_response(data["sent"], data["moved"], 1.0 / PERIOD, BLOCK)
+        impulses.append(impulse(f, to_offset, 1.0 / PERIOD))
+        if share != PLACES[0]:
+            continue
+        response, compliance = _response(
+            case, ways.counts[step, i], *(data[name] for name in ("force", "motion", "sent", "moved"))
+        )
         try:
             structure: Structure | None = structure_of(bag)
         except RecordingError as error:
             print(f"case: no modes from {bag}: {error}")
             structure = None
         found.append(Shaken(ways.names[i], response, compliance, structure))
-    return found
+    return found, Swept(np.array([ways.q[step, i] for i, step, _ in places]), np.array(impulses))
+
+
+def _shake(job: tuple[Case, Array, float, int, bool]) -> tuple[Path, Path]:
+    """Recordings of one posture; the force is swept only where it is asked for."""
+    case, q, rail, k, by_force = job
+    sim = read_cell(case.cell_path)
+    hard = read_hard(case.truth_path, sim)
+    digest = hashlib.sha256(case.truth_path.read_bytes() + case.cell_path.read_bytes() + q.tobytes()).hexdigest()[:12]
+    bag, table = case.out / f"tap_{k}_{digest}.mcap", case.out / f"shake_{k}_{digest}.npz"
+    if table.is_file() and (bag.is_file() or not by_force):
+        return bag, table
+    force, motion = tap(sim, hard, q, rail, seed=20 + k) if by_force else (np.zeros((0, 3)), np.zeros((0, 3)))
+    sent, moved = shake(sim, hard, q, rail, seed=30 + k)
+    np.savez(table, force=force, motion=motion, sent=sent, moved=moved)
+    if by_force:
+        pose = forward(sim.chain, q[None])
+        n = len(force)
+        p, R = np.tile(pose.p_tcp, (n, 1)), np.tile(pose.R_tool, (n, 1, 1))
+        write_bag(bag.with_suffix(".part"), force @ pose.R_tool[0], p, R, pose.p_tcp + motion)
+        bag.with_suffix(".part").replace(bag)
+    return bag, table
 
 
 def _response(case: Case, counts: Array, force: Array, motion: Array, sent: Array, moved: Array) -> tuple[Response, float]:
@@ -185,7 +193,7 @@ def _response(case: Case, counts: Array, force: Array, motion: Array, sent: Arra
     return response, float(np.linalg.norm(np.abs(to_force[low]).mean(axis=0), 2))
 
 
-def _through(stages: list[Filter], sample: Array) -> Array:
+def _through(stages: Sequence[Filter], sample: Array) -> Array:
     for stage in stages:
         sample = stage.step(sample)
     return sample
@@ -200,3 +208,8 @@ def designs(case: Case, force: Array, noise: float, lead: float, shaken: list[Sh
     }
     plain = design(force, 1.0 / PERIOD, lead, noise, **settings)
     return plain, design(force, 1.0 / PERIOD, lead, noise, responses=[s.response for s in shaken], **settings)
+
+
+def filtered(stages: Sequence[Filter], reading: Array) -> Array:
+    """Forces (n, 3) as they leave these stages."""
+    return np.array([_through(stages, x) for x in reading]) if stages else reading

@@ -25,7 +25,7 @@ from irec_sim.production.ways import PERIOD
 from .jobs import Case, Job, fingerprint, load
 
 APART, WINDOW = 0.4, 0.2  # s between two rows, s over which a row is the mean
-BEGIN, END = 0.6, 0.2  # s left out after touch-down and before the end of a course
+BEGIN, END = 0.4, 0.2  # s left out after touch-down, where the force still changes quickly, and before the end of a course
 
 
 def moving_session(chain: Chain, drive: Drive, courses: Array, standing: Path, folder: Path) -> Path:
@@ -65,7 +65,7 @@ def moving_session(chain: Chain, drive: Drive, courses: Array, standing: Path, f
 def improved_in_motion(case: Case, without: Job, courses: Array, progress: Callable[[float, str], None]) -> Model:
     """The model of these courses of a drive without correction, as far as the evidence goes (`irec improve`); kept on disk."""
     path, mark = case.out / "model_moving.yaml", case.out / "model_moving.sha256"
-    now = fingerprint(case, without) + str(courses.tolist())
+    now = fingerprint(case, without) + str(courses.tolist()) + str((APART, WINDOW, BEGIN, END))
     if not (path.is_file() and mark.is_file() and mark.read_text() == now):
         chain = read_cell(case.cell_path).chain
         folder = moving_session(chain, load(case, without)[0], courses, case.out / "session", case.out / "session_moving")

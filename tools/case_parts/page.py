@@ -14,9 +14,10 @@ from irec_sim.production.runner import Drive
 
 from . import pictures
 from .budget import Budget
+from .jobs import BRISK
 from .table import PAPER, Figures, reduction
 
-START, LAST = "without correction", "+ answer of arm and drives undone"
+START, LAST = "without correction", "+ filter of each axis, learnt on courses"
 NOT_KEPT = "tried on the third row, not kept: force extrapolated by the latency"
 
 
@@ -184,6 +185,14 @@ def _learned(found: Found, folder: Path) -> Section:
         f"{100 * plain.left:.0f} % by its own account where arm and drives are a delay, the low-pass {100 * plain.before:.0f} %; "
         f"with the answers of arm and drives as they were measured {100 * shaped.left:.0f} % instead of "
         f"{100 * shaped.before:.0f} %. Acceleration of the offset {shaped.acceleration:.2f} m/s^2 RMS.",
+        f"Force profile: the touch-down comes {1e3 * told['profile'].spread:.0f} ms (one standard deviation) sooner or later "
+        f"from course to course; in each course it is moved by up to {1e3 * told['slack']:.0f} ms to where the readings have it. "
+        f"{told['profile'].left:.0f} N RMS of the readings are not common to all courses.",
+        f"Lead of the profile where the answers were measured: {1e3 * told['answers']:.1f} ms; the sensor's own delay is in it.",
+        "Filter of each axis of the force: learnt from the training courses that were driven without correction with the tracker "
+        f"on the tool, and from offsets swept at nine postures. On these courses it leaves {1e6 * told['own'].left:.1f} um RMS "
+        f"of the measured deviation, the unfiltered prediction {1e6 * told['own'].before:.1f} um. Acceleration of the offset "
+        f"{told['own'].acceleration:.2f} m/s^2 RMS; the limit is raised to {BRISK.translation.acceleration:g} m/s^2 for it.",
     ]
     rows = [
         [s.where, f"{m.frequency:.2f}", f"{m.damping:.3f}", f"{100 * m.share:.0f} %"]

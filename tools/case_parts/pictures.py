@@ -99,8 +99,8 @@ def learned(told: dict[str, Any], path: Path) -> Path:
     ax = axes[0, 1]
     for k, (name, colour) in enumerate((("along", BLUE), ("across", ORANGE), ("out of the surface", GREEN))):
         ax.plot(
-            0.004 * np.arange(len(told["profile"].head)),
-            told["profile"].head[:, k],
+            told["profile"].step * np.arange(len(told["profile"].head)),
+            (told["profile"].head + told["profile"].middle[0])[:, k],
             color=colour,
             ls=("-", "--", "-.")[k],
             label=name,

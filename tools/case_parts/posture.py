@@ -9,17 +9,18 @@ from irec_calibration.model.file import load_model
 from irec_calibration.poses.posture import Posture, ToolWay, in_line, stiffest, try_turns
 from irec_calibration.report.page import Figure, Section, Table
 from irec_calibration.report.style import pyplot, save
+from irec_calibration.sensors.force_profile import CommonForce
 from irec_calibration.session import read_session
 from irec_sim.production.ways import Ways
 
 from .jobs import Case
-from .learned import Profile
+from .learned import expected
 
 STEP = 30  # degrees between two turns
 POINTS = 30  # of a course
 
 
-def posture_section(case: Case, ways: Ways, profile: Profile) -> Section:
+def posture_section(case: Case, ways: Ways, profile: CommonForce) -> Section:
     """What each turn would do on these courses under the force that the training courses told."""
     cell, session = read_cell(case.cell_path), read_session(case.out / "session")
     model = load_model(case.out / "model_18dof.yaml")
@@ -56,10 +57,10 @@ def posture_section(case: Case, ways: Ways, profile: Profile) -> Section:
     return Section("Posture", text, [Figure(path, "Predicted mean error, turn by turn.")], [Table(header, rows)])
 
 
-def _way(ways: Ways, i: int, profile: Profile) -> ToolWay:
+def _way(ways: Ways, i: int, profile: CommonForce) -> ToolWay:
     """Some points of course i with the force expected there."""
     steps = int(ways.driving[:, i].sum())
     k = np.linspace(0.05 * steps, 0.95 * steps, POINTS).astype(int)
     R = ways.R_tool[k, i]
-    force = (R @ profile.along(ways, i)[k][:, :, None])[..., 0]
+    force = (R @ expected(profile, ways, i)[k][:, :, None])[..., 0]
     return ToolWay(ways.p_in_cell[k, i], R, force, ways.counts[k, i], {})

@@ -12,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 from irec_calibration.cell import read_cell
+from irec_correction.fir import TapTable, write_taps
 from irec_sim.cellfile import read_cell as read_sim_cell
 from irec_sim.errors import SimError
 from irec_sim.production.hard import read_hard
 from irec_sim.production.ways import Ways
 
 from . import calibrated, learned
+from .axes_filter import learnt_filter
 from .budget import Budget, budget_jobs
 from .jobs import Case, Job, load, run_jobs, ways_of
 from .moving import improved_in_motion
@@ -27,6 +29,7 @@ from .posture import posture_section
 from .table import Figures, figures, outside_bands, reduction
 
 FEWEST = 4  # courses
+ZEROING = 0.2  # s, in which the force sensor is zeroed before contact
 
 
 class Teller:
@@ -88,7 +91,7 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
     say(f"driving {len(rows)} courses without and with correction")
     run_jobs(case, [*whole.values(), *(plan.jobs if plan else [])], say, processes)
     say("learning on every second course: the arm in motion, latency, force profile, answer of arm and drives, filter")
-    ladder, told = _ladder(case, ways, rows, whole, say)
+    ladder, told = _ladder(case, ways, rows, whole, say, processes)
     run_jobs(case, list(ladder.values()), say, processes)
     say("drawing the figures")
     found = _collect(case, rows, whole, ladder, told, hard, plan.of(case, cell.tolerance) if plan else None, how)
@@ -117,10 +120,13 @@ def _state(case: Case, state: str) -> None:
 
 
 def _ladder(
-    case: Case, ways: Ways, rows: tuple[int, ...], whole: dict[str, Job], say: Teller
+    case: Case, ways: Ways, rows: tuple[int, ...], whole: dict[str, Job], say: Teller, processes: int
 ) -> tuple[dict[str, Job], dict[str, object]]:
     """Jobs on the held-out courses, each with what the one before has and one thing more; and what was learnt."""
     train, held_out = np.arange(0, len(rows), 2), np.arange(1, len(rows), 2)
+    # driven twice more, with other noise and other drift: the filters have many numbers to learn
+    again = [Job(f"again_{seed}", tuple(int(rows[i]) for i in train), seed=seed) for seed in (1, 2)]
+    run_jobs(case, again, say, processes)
     moving = improved_in_motion(case, whole["without"], train, say.shares())
     say(f"in motion: {' + '.join(moving.effects)}, {_um(moving)} um on held-out places of the training courses")
     drive, _ = load(case, whole["improved"])
@@ -129,18 +135,27 @@ def _ladder(
     profile = learned.profile_of(drive, train)
     force, noise = learned.unsteady(case, drive, train, profile)
     driven = ways.only(np.array(rows))
-    shaken = learned.shaken_at(case, driven, train)
+    shaken, swept = learned.shaken_at(case, driven, train, processes)
+    answers = round(learned.lead_by_answers(shaken), 4)
     plain, shaped = learned.designs(case, force, noise, lead, shaken)
+    driven_without = [(load(case, whole["without"])[0], train), *((load(case, j)[0], np.arange(len(train))) for j in again)]
+    own, postures = learnt_filter(case, moving, driven_without, swept)
+    table = case.out / "filter.csv"
+    write_taps(table, TapTable(own.taps, postures, read_cell(case.cell_path).robot.joint_names))
     some = tuple(int(rows[i]) for i in held_out)
     path = learned.write_profiles(profile, ways.only(np.array(some)), np.array(some), case.out / "profiles.npz")
-    ahead = float(min(latency.delay, 0.1))
+    ahead, slack = float(min(latency.delay, 0.1)), round(min(2.0 * profile.spread, 0.2), 4)
     jobs = {"18 DOF, as in the paper": Job("ladder_0", some, whole["18 DOF"].model)}
     jobs["+ static effects (improve)"] = Job("ladder_1", some, whole["improved"].model)
     jobs["+ the arm measured in motion (improve)"] = step = Job("ladder_2", some, str(case.out / "model_moving.yaml"))
-    jobs["+ known force profile"] = known = replace(step, name="ladder_3", profiles=str(path), ahead=ahead)
-    jobs["+ filter for the measured spectrum"] = replace(known, name="ladder_4", taps=_taps(plain.taps), ahead=lead)
-    jobs[LAST] = replace(known, name="ladder_5", taps=_taps(shaped.taps))
-    jobs[NOT_KEPT] = replace(jobs["+ the arm measured in motion (improve)"], name="ladder_lead", lead=ahead)
+    jobs[NOT_KEPT] = replace(step, name="ladder_lead", lead=ahead)
+    if case.name == "afp":  # a cutter is in the cut where its course begins
+        jobs["+ force sensor zeroed before each course"] = step = replace(step, name="ladder_zeroed", tare=ZEROING)
+    jobs["+ known force profile"] = step = replace(step, name="ladder_3", profiles=str(path), ahead=ahead, slack=slack)
+    jobs["+ filter for the measured spectrum"] = step = replace(step, name="ladder_4", taps=_taps(plain.taps), ahead=lead)
+    jobs["+ answer of arm and drives undone"] = step = replace(step, name="ladder_5", taps=_taps(shaped.taps), ahead=answers)
+    jobs[LAST] = replace(step, name="ladder_6", taps=(), filter_file=str(table), brisk=True)
+    jobs[NOT_KEPT] = jobs.pop(NOT_KEPT)  # the last line of the table
     jobs[START] = Job("ladder_without", some)
     told = {
         "latency": latency,
@@ -150,6 +165,9 @@ def _ladder(
         "shaken": shaken,
         "plain": plain,
         "shaped": shaped,
+        "own": own,
+        "slack": slack,
+        "answers": answers,
         "profile": profile,
         "moving": moving,
     }

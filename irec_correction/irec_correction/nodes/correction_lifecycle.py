@@ -106,7 +106,7 @@ class CorrectionNode(Managed):
         raw = bool(p["raw_wrench"])
         frame = str(p["sensor_frame"]) if raw else "tool0"
         gravity = p.three("gravity")
-        filters = make_filters(parameters.filter_settings(p))
+        filters = make_filters(parameters.filter_settings(p, robot.joint_names))
         where = sensor_in_tool(robot, frame) if raw else None
         conditioner = Conditioner(filters, where, parameters.tool_load(p), parameters.cable(p), gravity)
         settings = parameters.correction_settings(p, frame)

@@ -4,6 +4,9 @@ written from these tables (`python tools/docs/node_parameters.py`)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 from irec_calibration.model.plausibility import LARGEST_OFFSET
 from irec_calibration.robot import Robot
 from irec_calibration.sensors.tool_load import ToolLoad
@@ -12,6 +15,7 @@ from irec_ros.parameters import P, Parameters
 from ..conditioning import Cable, FilterSettings, make_filters
 from ..correction import CorrectionSettings
 from ..errors import SettingsError
+from ..fir import read_taps
 from ..limits import Bounds, OffsetLimits
 from ..preview import ForceProfile, Preview, read_profile
 from ..state import StateTimes
@@ -51,8 +55,10 @@ CORRECTION = (
     P("filter.cutoff", 40.0, "low-pass; 0: none", 0.0, 4000.0, unit="Hz"),
     P("filter.order", 2, "order of the low-pass", 1, 6),
     P("filter.taps", [1.0], "designed filter in place of the low-pass, newest sample first; [1.0]: none", -50.0, 50.0),
+    P("filter.file", "", "table of a designed filter in place of filter.taps: force_x, force_y, force_z; empty: none"),
     P("preview.file", "", "table of the force that is known along this course: stamp, joint angles, force; empty: none"),
     P("preview.lead", 0.0, "from a reading to the motion that it causes (irec latency)", 0.0, 0.2, unit="s"),
+    P("preview.slack", 0.0, "by which the force may come sooner or later than in the table (irec profile)", 0.0, 0.2, unit="s"),
     P("process_feed", 0.07, "feed by which the log tells what the filters' delay costs", 0.0, 5.0, unit="m/s"),
     P("deflection_slope", 1e-3, "change of the deflection per metre of path, likewise", 0.0, 1.0, unit="m/m"),
     P("limit.translation", 3e-3, "largest offset", 1e-5, 0.02, unit="m", settable=True),
@@ -157,11 +163,16 @@ def correction_settings(v: Parameters, wrench_frame: str) -> CorrectionSettings:
     )
 
 
-def filter_settings(v: Parameters) -> FilterSettings:
-    """Settings of the filters."""
-    return FilterSettings(
-        rate=v["wrench_rate"], **{f: v[f"filter.{f}"] for f in FilterSettings.__dataclass_fields__ if f != "rate"}
-    )  # fmt: skip
+def filter_settings(v: Parameters, joint_names: Sequence[str]) -> FilterSettings:
+    """Settings of the filters. Raises SettingsError."""
+    fields = ("median", "spindle_speed", "harmonics", "notch_quality", "cutoff", "order", "taps")
+    settings = FilterSettings(rate=v["wrench_rate"], **{f: v[f"filter.{f}"] for f in fields})
+    if not v["filter.file"]:
+        return settings
+    if settings.designed:
+        raise SettingsError("filter.file and filter.taps are both given; one of them is possible")
+    table = read_taps(v["filter.file"], joint_names)
+    return replace(settings, posture_taps=table.taps.tolist(), postures=table.postures.tolist())
 
 
 def profile(v: Parameters, robot: Robot) -> ForceProfile | None:
@@ -172,7 +183,9 @@ def profile(v: Parameters, robot: Robot) -> ForceProfile | None:
 def preview(v: Parameters, robot: Robot) -> Preview | None:
     """The same with filters of its own as the wrench passes. Raises SettingsError."""
     known = profile(v, robot)
-    return Preview(known, v["preview.lead"], make_filters(filter_settings(v))) if known is not None else None
+    if known is None:
+        return None
+    return Preview(known, v["preview.lead"], make_filters(filter_settings(v, robot.joint_names)), slack=v["preview.slack"])
 
 
 def tool_load(v: Parameters) -> ToolLoad:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from irec_calibration.cell import Cell
@@ -42,7 +42,7 @@ def bridge_setup(
         raise SettingsError(f"parameter 'cycle_ms' is {cycle_ms}; {possible} is possible")
     frame = str(p["sensor_frame"]) if p["raw_wrench"] else "tool0"
     settings = replace(parameters.correction_settings(p, frame), period=1e-3 * cycle_ms)  # 'rate' is that of correction_node
-    filters = _filters(p, 1e3 / cycle_ms, inform)
+    filters = _filters(p, cell.robot.joint_names, 1e3 / cycle_ms, inform)
     chain = None
     if source == "chain":
         chain = ChainSettings(
@@ -58,6 +58,7 @@ def bridge_setup(
             payload=cell.payload,
             profile=parameters.profile(p, cell.robot),
             preview_lead=p["preview.lead"],
+            preview_slack=p["preview.slack"],
         )
     link = Link(str(p["address"]), int(p["port"]), str(p["peer"]), str(p["sentype"]))
     return BridgeSetup(
@@ -66,15 +67,15 @@ def bridge_setup(
     )  # fmt: skip
 
 
-def _filters(p: Parameters, rate: float, inform: Callable[[str], None]) -> FilterSettings:
+def _filters(p: Parameters, joint_names: Sequence[str], rate: float, inform: Callable[[str], None]) -> FilterSettings:
     """Filters for the readings that RSI lets through: one per cycle, the newest."""
-    filters = parameters.filter_settings(p)
+    filters = parameters.filter_settings(p, joint_names)
     if filters.rate <= rate:
         return filters
     inform(f"filters act at {rate:g} Hz, the rate of RSI, not at wrench_rate {filters.rate:g} Hz")
-    if len(filters.taps) != 1:
+    if filters.designed:
         raise SettingsError(
-            f"filter.taps are for wrench_rate {filters.rate:g} Hz; RSI passes {rate:g} readings a second:"
+            f"the designed filter is for wrench_rate {filters.rate:g} Hz; RSI passes {rate:g} readings a second:"
             " design the filter for that rate and set wrench_rate to it"
         )
     return replace(filters, rate=rate)

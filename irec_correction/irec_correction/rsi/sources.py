@@ -76,7 +76,8 @@ class ChainSettings:
     Attributes:
         urdf_text: robot description. payload: on tool0, for effects that depend on the total torque.
         wrench_block: name of the shared memory that the sensor's process writes.
-        profile, preview_lead: force that is known along the course, and s from a reading to the motion that it causes.
+        profile, preview_lead, preview_slack: force that is known along the course, s from a reading to the motion that it causes,
+            s by which it may come sooner or later.
         raw: the block holds readings in `sensor_frame`; otherwise wrenches at the TCP.
     """
 
@@ -92,6 +93,7 @@ class ChainSettings:
     payload: Payload | None = None
     profile: ForceProfile | None = None
     preview_lead: float = 0.0
+    preview_slack: float = 0.0
 
 
 class ChainSource:
@@ -105,7 +107,9 @@ class ChainSource:
         correction = replace(settings.correction, limits=per_answer(settings.correction.limits))
         self.chain = Correction(correction, robot, conditioner)
         if settings.profile is not None:
-            self.chain.preview = Preview(settings.profile, settings.preview_lead, make_filters(settings.filters))
+            self.chain.preview = Preview(
+                settings.profile, settings.preview_lead, make_filters(settings.filters), slack=settings.preview_slack
+            )
         self._robot, self._gravity, self._payload = robot, settings.gravity, settings.payload
         build_chain(robot)  # the first time takes longer than a cycle
         self._out: Output | None = None
