@@ -110,17 +110,6 @@ class Shaken:
     structure: Structure | None
 
 
-def lead_by_answers(shaken: list[Shaken]) -> float:
-    """Delay between the answer to a force as it is read and the answer to an offset, below the modes, s: that of the sensor is in
-    it, which `irec latency` can't see."""
-    late = []
-    for s in shaken:
-        f = s.response.frequency
-        low = (f > SWEPT[0] + 0.3) & (f < 2.0 * SWEPT[0])
-        late.append(np.median(np.angle(s.response.to_force[low] / s.response.to_offset[low]) / (2.0 * np.pi * f[low])))
-    return float(np.clip(np.mean(late), 0.0, 0.2))
-
-
 @dataclass(frozen=True)
 class Swept:
     """Postures (m, n), rad, and the answer of the TCP to an offset at each, (m, length, 3, 3)."""

@@ -188,7 +188,6 @@ def _learned(found: Found, folder: Path) -> Section:
         f"Force profile: the touch-down comes {1e3 * told['profile'].spread:.0f} ms (one standard deviation) sooner or later "
         f"from course to course; in each course it is moved by up to {1e3 * told['slack']:.0f} ms to where the readings have it. "
         f"{told['profile'].left:.0f} N RMS of the readings are not common to all courses.",
-        f"Lead of the profile where the answers were measured: {1e3 * told['answers']:.1f} ms; the sensor's own delay is in it.",
         "Filter of each axis of the force: learnt from the training courses that were driven without correction with the tracker "
         f"on the tool, and from offsets swept at nine postures. On these courses it leaves {1e6 * told['own'].left:.1f} um RMS "
         f"of the measured deviation, the unfiltered prediction {1e6 * told['own'].before:.1f} um. Acceleration of the offset "

@@ -136,7 +136,6 @@ def _ladder(
     force, noise = learned.unsteady(case, drive, train, profile)
     driven = ways.only(np.array(rows))
     shaken, swept = learned.shaken_at(case, driven, train, processes)
-    answers = round(learned.lead_by_answers(shaken), 4)
     plain, shaped = learned.designs(case, force, noise, lead, shaken)
     driven_without = [(load(case, whole["without"])[0], train), *((load(case, j)[0], np.arange(len(train))) for j in again)]
     own, postures = learnt_filter(case, moving, driven_without, swept)
@@ -153,7 +152,7 @@ def _ladder(
         jobs["+ force sensor zeroed before each course"] = step = replace(step, name="ladder_zeroed", tare=ZEROING)
     jobs["+ known force profile"] = step = replace(step, name="ladder_3", profiles=str(path), ahead=ahead, slack=slack)
     jobs["+ filter for the measured spectrum"] = step = replace(step, name="ladder_4", taps=_taps(plain.taps), ahead=lead)
-    jobs["+ answer of arm and drives undone"] = step = replace(step, name="ladder_5", taps=_taps(shaped.taps), ahead=answers)
+    jobs["+ answer of arm and drives undone"] = step = replace(step, name="ladder_5", taps=_taps(shaped.taps))
     jobs[LAST] = replace(step, name="ladder_6", taps=(), filter_file=str(table), brisk=True)
     jobs[NOT_KEPT] = jobs.pop(NOT_KEPT)  # the last line of the table
     jobs[START] = Job("ladder_without", some)
@@ -167,7 +166,6 @@ def _ladder(
         "shaped": shaped,
         "own": own,
         "slack": slack,
-        "answers": answers,
         "profile": profile,
         "moving": moving,
     }
