@@ -23,9 +23,9 @@ from irec_calibration.identification.observe import observe  # noqa: E402
 from irec_calibration.model import EIGHTEEN_DOF, blank_model  # noqa: E402
 from irec_calibration.model.file import save_model  # noqa: E402
 from irec_calibration.recertification.judgement import residual_of  # noqa: E402
+from irec_calibration.sensors.look_ahead import design  # noqa: E402
 from irec_calibration.sensors.structure import frequency_response  # noqa: E402
 from irec_calibration.session import read_session  # noqa: E402
-from irec_correction.ahead import design  # noqa: E402
 from irec_sim.cellfile import CellFile  # noqa: E402
 from irec_sim.cellfile import read_cell as read_sim_cell  # noqa: E402
 from irec_sim.errors import SimError  # noqa: E402

@@ -22,6 +22,7 @@ ELSEWHERE = {
     "tool-load": "irec_calibration/test/sensors",
     "latency": "irec_calibration/test/sensors",
     "profile": "test_profile_command.py",
+    "filter": "test_filter_command.py",
     "workbench": "irec_calibration/test/workbench/test_browser.py",
     "init-cell": "test_own_cell.py",
     "show-cell": "test_own_cell.py",

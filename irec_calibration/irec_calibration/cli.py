@@ -40,6 +40,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "tool-load": ("tool_load", "tool mass, centre of mass and bias from a recording without contact"),
     "latency": ("latency", "how late the robot follows the force, from a recording"),
     "posture": ("posture", "how to turn the tool about its axis for the least deviation under the process"),
+    "filter": ("filter", "a filter of the wrench that looks ahead, for the measured spectrum of the force"),
     "profile": ("profile", "the force that courses have in common, for the correction to look ahead"),
     "modes": ("modes", "modes of arm and head from a recorded tap or swept force"),
     "completion": ("completion", "code that makes your shell complete irec's commands and options"),

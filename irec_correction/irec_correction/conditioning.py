@@ -86,7 +86,7 @@ class FilterSettings:
         rate: of the samples, Hz. median: samples, 0 for none.
         spindle_speed: 1/s, 0 for none; harmonics: notches; notch_quality: frequency / bandwidth.
         cutoff: of the low-pass, Hz, 0 for none; order.
-        taps: of a designed filter in place of the low-pass (`ahead.design`), newest sample first; (1.0,) for none.
+        taps: of a designed filter in place of the low-pass (`irec filter`), newest sample first; (1.0,) for none.
         posture_taps: of one with other taps for each axis of the force and at each posture (`course_filter.learn`), in place of
             `taps`: postures, taps, axes; postures: joint angles, rad.
     """

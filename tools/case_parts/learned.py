@@ -16,10 +16,10 @@ from irec_calibration.commands.modes import structure_of
 from irec_calibration.errors import RecordingError
 from irec_calibration.sensors.force_profile import CommonForce, ForcedCourse, common_force
 from irec_calibration.sensors.latency import Latency, find_latency
+from irec_calibration.sensors.look_ahead import Design, Response, design
 from irec_calibration.sensors.motion_recording import read_force_and_motion
 from irec_calibration.sensors.structure import Structure, frequency_response
 from irec_calibration.typing import Array
-from irec_correction.ahead import Design, Response, design
 from irec_correction.conditioning import make_filters
 from irec_correction.course_filter import impulse
 from irec_correction.filters import Filter

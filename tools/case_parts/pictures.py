@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from irec_calibration.report.style import BLUE, CONTINUOUS, GREEN, GREY, ORANGE, PURPLE, RED, pyplot, save
-from irec_correction.ahead import missed
+from irec_calibration.sensors.look_ahead import missed
 from irec_sim.production.runner import Drive
 
 from .budget import Budget

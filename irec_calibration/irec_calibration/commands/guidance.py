@@ -65,6 +65,7 @@ EXAMPLES: dict[str, tuple[str, str]] = {
     "joint-stiffness": ("irec joint-stiffness recordings/ -o stiffness", "stiffness of each joint with its standard error"),
     "latency": ("irec latency course.mcap", "delay from a reading to the motion it causes; parameter lead of the correction"),
     "posture": ("irec posture model.yaml SESSION cell.yaml", "predicted deviation turn by turn, and what hinders a turn"),
+    "filter": ("irec filter course_*.mcap -o filter.csv", "filter.csv for filter.file of the correction"),
     "profile": ("irec profile course_*.mcap -o profile.csv", "profile.csv for preview.file of the correction; preview.slack"),
     "modes": ("irec modes tap_left.mcap tap_right.mcap", "frequency, damping and share of each mode, posture by posture"),
     "tool-load": ("irec tool-load turning.mcap -o tool_load.yaml", "mass, centre of mass, bias; parameters for the nodes"),

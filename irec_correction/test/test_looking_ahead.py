@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from irec_correction.ahead import Response, design
+from irec_calibration.errors import RecordingError
+from irec_calibration.sensors.look_ahead import Response, design
 from irec_correction.conditioning import FilterSettings, make_filters
 from irec_correction.errors import SettingsError
 from irec_correction.filters import low_pass
@@ -68,7 +69,7 @@ def test_a_filter_keeps_the_acceleration_that_it_was_allowed() -> None:
     held = design(force(5), RATE, 0.04, 1.5, compliance=1e-6, acceleration=0.3 * free.acceleration)
     assert held.acceleration <= 0.3 * free.acceleration
     assert free.left <= held.left < held.before  # it costs something, and is still better than the low-pass
-    with pytest.raises(SettingsError, match="acceleration"):
+    with pytest.raises(RecordingError, match="acceleration"):
         design(force(5), RATE, 0.04, 1.5, compliance=1e-6, acceleration=1e-9)
 
 

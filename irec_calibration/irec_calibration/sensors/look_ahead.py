@@ -18,11 +18,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from irec_calibration.typing import Array
 from scipy import linalg, signal
 
-from .errors import SettingsError
-from .fir import LONGEST
+from ..errors import RecordingError
+from ..typing import Array
+
+LONGEST = 250  # taps, as many as the correction takes
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class Design:
 def spectrum(force: Array, rate: float) -> tuple[Array, Array]:
     """Power spectrum of a force (n, 3), summed over the axes, each freed of its slow course: Hz (k,) and N^2/Hz (k,)."""
     if len(force) < 4 * 256:
-        raise SettingsError(f"{len(force)} samples of force are too few to design a filter; {4 * 256} are needed")
+        raise RecordingError(f"{len(force)} samples of force are too few to design a filter; {4 * 256} are needed")
     f, p = signal.welch(force, fs=rate, nperseg=min(1024, len(force) // 2), axis=0, detrend="linear")
     return f, p.sum(axis=1)
 
@@ -98,12 +99,12 @@ def design(
         compliance: m/N, largest of the TCP; acceleration: m/s^2, largest RMS that the offset's acceleration may have.
 
     Raises:
-        SettingsError: a value out of range, too few samples, or no filter stays below the acceleration.
+        RecordingError: a value out of range, too few samples, or no filter stays below the acceleration.
     """
     if not 0.0 <= lead <= 0.1:
-        raise SettingsError(f"lead of the filter is {lead} s; 0 .. 0.1 s is possible")
+        raise RecordingError(f"lead of the filter is {lead} s; 0 .. 0.1 s is possible")
     if not 2 <= taps <= LONGEST:
-        raise SettingsError(f"a filter of {taps} taps; 2 to {LONGEST} are possible")
+        raise RecordingError(f"a filter of {taps} taps; 2 to {LONGEST} are possible")
     f, density = spectrum(force, rate)
     white = 2.0 * 3.0 * noise**2 / rate  # one-sided, three axes
     grid = np.linspace(0.0, 0.5 * rate, 2049)
@@ -133,7 +134,7 @@ def design(
         if shaken(late @ h) <= acceleration:
             break
     else:
-        raise SettingsError(f"no filter keeps the offset's acceleration below {acceleration:.3g} m/s^2 RMS; allow more")
+        raise RecordingError(f"no filter keeps the offset's acceleration below {acceleration:.3g} m/s^2 RMS; allow more")
     sos = signal.butter(2, min(cutoff, 0.45 * rate), fs=rate, output="sos")
     plain = signal.sosfreqz(sos, worN=grid, fs=rate)[1]
     return Design(h, rate, lead, left(late @ h), left(plain), shaken(late @ h))
