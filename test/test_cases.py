@@ -191,6 +191,14 @@ def test_a_plant_out_of_its_bands_is_told() -> None:
     assert len(told) == 2 and "reduction of the mean is 99.3 %" in told[0]
 
 
+def test_a_plant_of_linear_springs_is_driven_too(machining: Calibrated) -> None:
+    """What the error budget ends with: the tool moves by the force at once, and by nothing else."""
+    linear = without(machining.hard, *CAUSES)
+    driven = drive(machining.sim, linear, machining.ways.only(np.array([0])))
+    np.testing.assert_allclose(driven.deviation, driven.static, atol=1e-12)
+    assert 1e-4 < float(np.abs(driven.deviation).max()) < 5e-3
+
+
 @pytest.mark.parametrize("name", ["afp", "machining"])
 def test_each_cause_of_a_hard_plant_can_be_switched_off(name: str) -> None:
     case = Case(name, Path())

@@ -169,7 +169,8 @@ class _Run:
             self.frames = plant.frames(q, self.state.e)
             self.jacobian = np.linalg.pinv(forward(plant.chain, q).jacobian())[:, :, :3]
             compliance = plant.compliance(q, self.idle)
-            self.linear, self.soft = plant.tcp_compliance(self.frames, compliance), compliance[:, plant.axial]
+            self.linear = plant.tcp_compliance(self.frames, compliance)
+            self.soft = np.broadcast_to(compliance, (len(q), plant.dof))[:, plant.axial]  # one row where all springs are linear
         if k % _SPRINGS == 0:
             conditions = replace(self.idle, force=force, process_on=np.abs(force).max(axis=1) > 1.0)
             c = plant.compliance(q, conditions)
