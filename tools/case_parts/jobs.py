@@ -152,7 +152,8 @@ def run_job(case: Case, job: Job) -> str:
     told = path.with_suffix(".progress")
     controller: Corrected | Oracle | None = None
     if job.model == "oracle":
-        controller = Oracle()
+        (low_pass,) = make_filters(replace(filters_of(case), spindle_speed=0.0))
+        controller = Oracle(low_pass.step)
     elif job.model is not None:
         controller = corrected(case, job, ways)
     begun = drive(sim, hard, ways, controller, case.seed + job.seed, lambda share: told.write_text(f"{share:.3f}"))

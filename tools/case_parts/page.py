@@ -103,7 +103,7 @@ def _table_one(found: Found) -> Section:
     text = [
         f"Table 1 of the paper, {paper.what}, as the tracker measures it. The oracle corrects with the true static "
         f"deflection at each "
-        "moment, on the same channel with the same delay: what no better static model can beat."
+        "moment, through the same low-pass and the same channel: what a perfect static model would do."
     ]
     text.append(
         "Secondary encoders: joint angles are read behind the gears, in calibration (session_links, generated directly) and in "

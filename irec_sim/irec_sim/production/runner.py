@@ -50,7 +50,13 @@ class ReadsLinks(Protocol):
 
 
 class Oracle:
-    """A controller that knows the plant: its offset is minus the true static answer, on the same channel as everybody's."""
+    """A controller that knows the plant: its offset is minus the true static answer, on the same channel as everybody's.
+
+    smoothed: passed by the static answer (rows, 3), m, of each step, as a correction's low-pass; None: it acts at once.
+    """
+
+    def __init__(self, smoothed: Callable[[Array], Array] | None = None) -> None:
+        self.smoothed = smoothed
 
     def step(self, now: float, wrench: Array, q: Array, rail: Array) -> Array:
         """Never asked: the run fills it in."""
@@ -150,7 +156,7 @@ class _Run:
                                 ways.R_tool[k])  # fmt: skip
         reading = self.sensor.read(reading, self._tooth(k))
         if isinstance(controller, Oracle):
-            self.sent = -static
+            self.sent = -(static if controller.smoothed is None else controller.smoothed(static))
         elif controller is not None:
             if isinstance(controller, ReadsLinks):
                 controller.take_links(k * PERIOD, self._windup(force))
