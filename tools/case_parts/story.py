@@ -22,6 +22,7 @@ from . import calibrated, learned
 from .axes_filter import learnt_filter
 from .budget import Budget, budget_jobs
 from .jobs import Case, Job, load, run_jobs, ways_of
+from .left import Left, section, steady_job, what_is_left
 from .moving import improved_in_motion
 from .numbered import numbered
 from .page import LAST, NOT_KEPT, START, Found, write_report
@@ -92,11 +93,13 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
     run_jobs(case, [*whole.values(), *(plan.jobs if plan else [])], say, processes)
     say("learning on every second course: the arm in motion, latency, force profile, answer of arm and drives, filter")
     ladder, told = _ladder(case, ways, rows, whole, say, processes)
-    run_jobs(case, list(ladder.values()), say, processes)
+    run_jobs(case, [*ladder.values(), steady_job(ladder[LAST])], say, processes)
     say("drawing the figures")
+    left = what_is_left(case, ladder[LAST], cell.tolerance)
     found = _collect(case, rows, whole, ladder, told, hard, plan.of(case, cell.tolerance) if plan else None, how)
+    found.numbered.insert(0, section(left, found.rungs[START]))
     report = write_report(found, case.out)
-    _finish(case, found, say, report)
+    _finish(case, found, left, say, report)
     return 1 if found.outside else 0
 
 
@@ -204,7 +207,7 @@ def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None, how: 
     )
 
 
-def _finish(case: Case, found: Found, say: Teller, report: Path) -> None:
+def _finish(case: Case, found: Found, left: Left, say: Teller, report: Path) -> None:
     before = found.table["without"]
     print(f"\n  {'mm':34} {'mean':>8} {'max':>8} {'std':>8}   reduction of mean, max, std (%)   inside")
     for name, f in found.table.items():
@@ -215,6 +218,9 @@ def _finish(case: Case, found: Found, say: Teller, report: Path) -> None:
     for name, f in found.rungs.items():
         cut = "{:8.1f} {:8.1f} {:8.1f}".format(*reduction(start, f))
         print(f"  {name:34} {f.mean:8.3f} {f.max:8.3f} {f.std:8.3f}   {cut:27}   {100 * f.inside:12.1f} %")
+    print("  what is left on the last row of the ladder, mean and maximum:")
+    for name, (mean, largest) in left.parts.items():
+        print(f"  {name:50} {mean:8.3f} {largest:8.3f}")
     for text in found.outside:
         print(f"  this plant is outside the real cell's bands: {text}")
     summary = {
@@ -225,6 +231,7 @@ def _finish(case: Case, found: Found, say: Teller, report: Path) -> None:
         "ladder": {n: asdict(f) for n, f in found.rungs.items()},
         "outside_bands": found.outside,
         "last_rung_reduction": reduction(start, found.rungs[LAST]),
+        "left_mm": left.parts,
         "budget_mm": found.budget.parts if found.budget else None,
         "wall_s": round(time.monotonic() - say.begun, 1),
     }
