@@ -192,3 +192,18 @@ def test_a_table_that_is_no_filter_is_refused_with_its_name(tmp_path: Path, text
 def test_taps_that_are_no_filter_are_refused(taps: list[list[float]]) -> None:
     with pytest.raises(SettingsError):
         Fir(np.array(taps), RATE)
+
+
+def test_a_node_takes_its_designed_filter_from_a_table_and_no_second_one(tmp_path: Path) -> None:
+    parameters = pytest.importorskip("irec_correction.nodes.parameters")
+    path, joints = tmp_path / "filter.csv", ("joint_1", "joint_2")
+    taps = np.zeros((2, 2, 3))
+    taps[:, 0], taps[:, 1] = 1.5, -0.5
+    write_taps(path, TapTable(taps, np.array([[0.0, 0.0], [1.0, 0.0]]), joints))
+    given = {p.name: p.default for p in parameters.CORRECTION} | {"filter.file": str(path)}
+    stages = make_filters(parameters.filter_settings(given, joints))
+    assert [s.name for s in stages] == ["designed filter"]
+    np.testing.assert_allclose(stages[0].taps, taps)  # type: ignore[attr-defined]
+    assert not parameters.filter_settings(given | {"filter.file": ""}, joints).designed
+    with pytest.raises(SettingsError, match="both given"):
+        parameters.filter_settings(given | {"filter.taps": [1.5, -0.5]}, joints)
