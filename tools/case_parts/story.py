@@ -127,8 +127,8 @@ def _ladder(
 ) -> tuple[dict[str, Job], dict[str, object]]:
     """Jobs on the held-out courses, each with what the one before has and one thing more; and what was learnt."""
     train, held_out = np.arange(0, len(rows), 2), np.arange(1, len(rows), 2)
-    # driven twice more, with other noise and other drift: the filters have many numbers to learn
-    again = [Job(f"again_{seed}", tuple(int(rows[i]) for i in train), seed=seed) for seed in (1, 2)]
+    # driven four times more, with other noise and other drift: the filters have many numbers to learn
+    again = [Job(f"again_{seed}", tuple(int(rows[i]) for i in train), seed=seed) for seed in range(1, 5)]
     run_jobs(case, again, say, processes)
     moving = improved_in_motion(case, whole["without"], train, say.shares())
     say(f"in motion: {' + '.join(moving.effects)}, {_um(moving)} um on held-out places of the training courses")
