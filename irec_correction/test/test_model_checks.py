@@ -7,13 +7,16 @@ import copy
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from chain import PERIOD, ROBOT, model
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.production import production_scene
 from irec_calibration.errors import ModelError
-from irec_calibration.model import Envelope
+from irec_calibration.model import Envelope, Estimate, Term
 from irec_calibration.model.file import save_model
 from irec_calibration.model.plausibility import check_envelope
 from irec_calibration.recertification.store import Store
@@ -66,6 +69,21 @@ def test_a_sound_model_is_accepted_with_its_largest_offset(tmp_path):
     assert not checked.changed()
     written(tmp_path, every_compliance(1.1))
     assert "was changed" in checked.changed()
+
+
+def test_a_soft_place_of_a_rail_is_taken_wherever_on_the_rail_it_is(tmp_path):
+    rail = find_effect("rail_compliance")
+    names = [p.name for p in rail.parameters(production_scene(ROBOT, np.array([0.0, 0.0, -9.81])))]
+    for place, taken in ((0.9, True), (-3.0, True), (500.0, False)):
+        values = {n: Estimate(1e-9) for n in names} | {"s_0": Estimate(place), "w": Estimate(0.4)}
+        made = model()
+        path = tmp_path / f"{place}.yaml"
+        save_model(replace(made, tool="roller", terms=(*made.terms, Term(rail, values))), path)
+        if taken:
+            assert read_checked(path, MOUNTED).largest_offset > 0.0
+        else:
+            with pytest.raises((ModelError, ActivationError), match="s_0 is 500"):
+                read_checked(path, MOUNTED)
 
 
 def test_the_calibration_in_force_is_found_beside_the_cell_file_and_refused_where_it_was_changed(tmp_path):

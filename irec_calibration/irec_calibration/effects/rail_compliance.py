@@ -18,6 +18,7 @@ DOF = ("t_x", "t_y", "t_z", "r_x", "r_y", "r_z")
 PLACES = 9  # along the travel of the session, at which the softest place is looked for
 WIDTHS = (0.1, 0.22, 0.5)  # of the travel
 SHORTEST = 0.1  # m, of a travel
+FURTHEST = 100.0  # m from 0, of a place on a rail whose travel is not known
 
 
 class RailCompliance(Effect):
@@ -48,9 +49,11 @@ class RailCompliance(Effect):
             for name in (d, f"{d}_soft")
         )  # fmt: skip
         widths = tuple(share * travel for share in WIDTHS)
+        # rows of one position, as where a model comes into force, tell no travel that the place would have to be within
+        within = (low - travel, high + travel) if high > low else (-FURTHEST, FURTHEST)
         return (
             *springs,
-            Parameter("s_0", "m", travel, low - travel, high + travel, start=places[len(places) // 2], grid=places),
+            Parameter("s_0", "m", travel, *within, start=places[len(places) // 2], grid=places),
             Parameter("w", "m", travel, 1e-3, 100.0, start=widths[0], grid=widths),
         )
 
