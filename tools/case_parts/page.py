@@ -218,7 +218,9 @@ def _budget(budget: Budget, folder: Path) -> Section:
     text = [
         "Each group of causes is switched off in the simulator, one after the other and in the opposite order, the "
         "cell calibrated again"
-        " where calibration sees it; a bar is the mean of both. A negative bar is a cause that hides another."
+        " where calibration sees it (from a session that is generated directly); a bar is the mean of both."
+        " A negative bar is a cause that hides another."
+        " Only a few of the courses are driven for it, so the sum is not the error of Table 1."
     ]
     return Section(
         "Error budget",
