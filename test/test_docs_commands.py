@@ -21,6 +21,7 @@ ELSEWHERE = {
     "codec": "test_afp_planning_and_codec.py and irec_calibration/test/codec",
     "tool-load": "irec_calibration/test/sensors",
     "latency": "irec_calibration/test/sensors",
+    "posture": "test_posture.py",
     "profile": "test_profile_command.py",
     "filter": "test_filter_command.py",
     "workbench": "irec_calibration/test/workbench/test_browser.py",
