@@ -51,6 +51,7 @@ class CellSide:
         self.types = JointState, WrenchStamped
         self.rng = np.random.default_rng(0)
         self.publishing = True
+        self.instead: dict[str, object] = {}  # what is sent in place of the next "joints" or "wrench"
         self.node.create_timer(0.004, self._publish)
 
     def _on_offset(self, message) -> None:
@@ -65,8 +66,11 @@ class CellSide:
         stamp = self.node.get_clock().now().to_msg()
         j = joint_state(name=[f"joint_{k}" for k in range(1, 7)], position=array("d", Q.tolist()))
         j.header.stamp = stamp
-        self.joints.publish(j)
-        if self.publishing:
+        instead, self.instead = self.instead, {}  # once each
+        self.joints.publish(instead.get("joints", j))
+        if "wrench" in instead:
+            self.wrench.publish(instead["wrench"])
+        elif self.publishing:
             w = wrench()
             w.header.stamp, w.header.frame_id = stamp, "tool0"
             f = (WRENCH + self.rng.normal(0, 0.5, 6)).tolist()
