@@ -197,6 +197,8 @@ def _seated_anew(study: Study) -> Iterator[tuple[str, Array, int]]:
     stamp, marker = session.stamp[observation.rows], session.marker[observation.rows]
     residual = np.einsum("nji,nj->ni", R, study.fit.residual) / observation.whiten.sigma[:, None]
     for m in np.unique(marker):
+        if session.markers and session.markers[m].link != "tool0":
+            continue
         rows = np.flatnonzero(marker == m)
         rows = rows[np.argsort(stamp[rows], kind="stable")]
         n, before = len(rows), np.cumsum(residual[rows], axis=0)[:-1]
@@ -205,7 +207,7 @@ def _seated_anew(study: Study) -> Iterator[tuple[str, Array, int]]:
         for k in np.argsort(-step)[:STEPS_TRIED]:
             row = rows[k + 1]
             here = (marker == m) & (stamp >= stamp[row])
-            of = f"reflector {m} " if len(np.unique(marker)) > 1 else "the reflector "
+            of = f"reflector {session.markers[m].name} " if len(np.unique(marker)) > 1 else "the reflector "
             words = f"{of}seated anew at pose {observation.pose[row]}, elsewhere on the tool from there on"
             yield words, _moved(study, here, R), n - 1
 

@@ -53,7 +53,7 @@ def rivals_of(
             own_forms = forms_of(one.term(other), one.study.ready)
             own = _without_forms(one, family, own_forms) - _without_forms(bare, family, own_forms)
             by_name = one.named - bare.named
-            if own < settings.nats_to_prefer or by_name < 0.5 * (final.named - bare.named):
+            if own < settings.nats_to_prefer or by_name < settings.share_of_rival * (final.named - bare.named):
                 continue  # what has no name explains it there, not this effect
             # whether a reading stands out a little is asked beside both
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final)

@@ -94,6 +94,10 @@ class Settings(Thresholds):
     nats_to_prefer: float = threshold(
         2.3, "nats", "a name needs over every other effect in its place", "odds of 10; closer ones are given as one of several",
     )  # fmt: skip
+    share_of_rival: float = threshold(
+        0.5, "share of evidence", "of the name, that a rival must bring by itself, without what has no name beside it",
+        "less than half, and it is nonparametric structure that stands in the name's place",
+    )  # fmt: skip
     nats_to_refit: float = threshold(
         15.0, "nats", "effects this much worse than the best are not fitted exactly", "three times what is told apart",
     )  # fmt: skip
