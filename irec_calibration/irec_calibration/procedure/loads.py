@@ -49,10 +49,14 @@ def largest_lateral(cell: Cell, settings: Settings, poses: PoseList, most: float
     return 1.0
 
 
-def _held(cell: Cell, settings: Settings) -> bool:
-    """Whether rows with these forces are accepted wherever the force controller comes to rest."""
+def _held(loaded: Cell, settings: Settings) -> bool:
+    """Whether the run takes these forces and accepts the rows, wherever the force controller comes to rest."""
+    try:
+        check_loads(loaded, settings)
+    except CellError:
+        return False
     off = settings.settling.force_n
-    f = cell.forces_in_tool
+    f = loaded.forces_in_tool
     lateral, normal = np.hypot(f[:, 0], f[:, 1]) + off, np.abs(f[:, 2]) - off
     holds = lateral <= SLIP_MARGIN * settings.friction * normal
     size = np.linalg.norm(f, axis=1) + off

@@ -40,6 +40,15 @@ def test_the_largest_factor_is_the_one_with_which_no_row_can_be_rejected(cell: C
     assert largest_lateral(cell, replace(settings, force_abort_n=1165.0), poses, 1.3) == 1.15
 
 
+def test_the_run_takes_the_factor_that_was_found_however_exact_the_force_controller_is(cell: Cell, poses: PoseList) -> None:
+    """The run looks at the contact without a margin: 0.5 / 1.5 of 1100 N hold 366.7 N, 1.3 times 280 are 364, 1.35 times 378."""
+    settings = read_settings(cell)
+    exact = replace(settings, settling=replace(settings.settling, force_n=0.1), friction=1.0)
+    factor = largest_lateral(cell, exact, poses, 1.5)
+    assert factor == 1.3
+    loaded_as_asked(cell, exact, replace(poses, lateral_factor=factor), "x")
+
+
 def test_no_axis_gets_more_than_its_continuous_torque_at_any_pose(cell: Cell, poses: PoseList) -> None:
     q = np.array([p.q for p in poses.poses])
     kin = cell.robot.kinematics(q)
