@@ -25,7 +25,7 @@ from scipy import linalg, signal
 from .errors import SettingsError
 from .fir import LONGEST, LOUDEST, MOST
 
-_FEWER = 4
+_FEWER = 4  # samples of which one is enough to tell the offset's acceleration
 _LOW, _TRUSTED = 4.0, 6.5  # Hz: below, the answer to an offset goes over to what the lowest trusted band says
 _HIGH, _GONE = 28.0, 43.0  # Hz: above, the measured answer fades out
 

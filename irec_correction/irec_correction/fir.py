@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 from irec_calibration.files.regular import TABLE_LIMIT, read_text
+from irec_calibration.sensors.look_ahead import LONGEST
 from irec_calibration.typing import Array
 
 from .errors import SettingsError
 
-LONGEST = 250  # taps
 LOUDEST = 190.0  # sum of the sizes of the taps; what they may do to the offset is for its limits
 MOST = 30  # postures
 _CLOSE = 0.05  # rad, within which one posture is taken as reached

@@ -69,7 +69,7 @@ def course_of(cell: Cell, session: Session, steps: int = STEPS) -> Course | None
     if session.robot.sha256 != cell.robot.sha256:
         raise CellError(f"{cell.path} and session '{session.name}' are of different robots; the course is left out")
     p, normal = _points(cell, start + np.linspace(0.0, 1.0, steps)[:, None] * (end - start), face)
-    p, ext = on_rail(cell, session, p)
+    p, ext = _on_rail(cell, session, p)
     s = np.r_[0.0, np.linalg.norm(np.diff(p, axis=0), axis=1).cumsum()]
     tangent = np.gradient(p, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
@@ -90,7 +90,7 @@ def _points(cell: Cell, local: Array, face: str) -> tuple[Array, Array]:
     raise CellError(f"{cell.path}: course: courses are known on patches and blocks, not on meshes")
 
 
-def on_rail(cell: Cell, session: Session, p: Array) -> tuple[Array, dict[str, float]]:
+def _on_rail(cell: Cell, session: Session, p: Array) -> tuple[Array, dict[str, float]]:
     """The points in base_link, and where the external axes stand meanwhile."""
     ext = {name: float(np.median(v)) for name, v in session.ext.items()}
     if cell.rail is None:
@@ -150,7 +150,8 @@ def _follow(cell: Cell, session: Session, p: Array, normal: Array, R_tool: Array
 
 
 def turned(chain: Chain, q: Array, p: Array, R: Array) -> tuple[Array, BoolArray]:
-    """The tool turned about its axis, (1, k), step by step, so that the arm stays folded as it is; whether it got there (1,)."""
+    """The tool turned about its axis to R (3, 3) in base_link, from joint angles q (1, k), rad, at TCP p (1, 3), m, step by step,
+    so that the arm stays folded as it is: joint angles (1, k), rad, and whether it got there (1,)."""
     _, now, _ = chain.forward(q)
     x = R.T @ now[0][:, 0]  # where x points now, seen from where it is to point
     angle = float(np.arctan2(x[1], x[0]))
@@ -165,6 +166,12 @@ def turned(chain: Chain, q: Array, p: Array, R: Array) -> tuple[Array, BoolArray
 
 
 def rows_along(session: Session, q: Array, p: Array, force: Array, time: Array, ext: dict[str, float]) -> Session:
+    """Two rows for each of n points, without and under the force, of the robot of a session.
+
+    Args:
+        session: its robot and instruments; q: joint angles, (n, k), rad; p: TCP in base_link, (n, 3), m.
+        force: on the robot in tool0, (n, 3), N; time: (n,), s; ext: positions of external axes, m or rad.
+    """
     n = len(q)
     twice = np.repeat(np.arange(n), 2)
     pressed = np.tile([0, 1], n)

@@ -23,7 +23,7 @@ from scipy import linalg, signal
 from ..errors import RecordingError
 from ..typing import Array
 
-LONGEST = 250  # taps, as many as the correction takes
+LONGEST = 250  # taps, of any filter that the correction takes
 
 
 @dataclass(frozen=True)
