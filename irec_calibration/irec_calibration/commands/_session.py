@@ -12,6 +12,7 @@ from ..model import Model
 from ..model.file import check_belongs, load_model
 from ..session import Session, read_session
 from ..session.plausible import check_plausible, doubts
+from ..session.without_tracker import SLIP_M, without_tracker
 
 
 def configure_plausible(parser: argparse.ArgumentParser) -> None:
@@ -21,6 +22,23 @@ def configure_plausible(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="go on although the session can't be what it says (units, signs, columns, frames)",
     )
+
+
+def configure_without_tracker(parser: argparse.ArgumentParser) -> None:
+    """The option to read a session without its tracker."""
+    parser.add_argument(
+        "--without-tracker",
+        action="store_true",
+        help="do not read the marker: the disc on the tooling is the measured point (docs/without-tracker.md)",
+    )
+    parser.add_argument(
+        "--slip", type=float, default=SLIP_M, metavar="M", help=f"m by which the disc slips across, with it (default: {SLIP_M:g})"
+    )
+
+
+def as_read(args: argparse.Namespace, session: Session) -> Session:
+    """The session as `--without-tracker` says. SessionError: it can't be read so."""
+    return without_tracker(session, args.slip) if args.without_tracker else session
 
 
 def starting_model(args: argparse.Namespace, session: Session) -> Model | None:

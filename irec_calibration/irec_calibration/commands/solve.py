@@ -8,10 +8,10 @@ import json
 import textwrap
 
 from ..diagnose import solved
-from ..identification.identify import default_terms
+from ..identification.identify import default_terms, with_disc
 from ..model import EIGHTEEN_DOF, SIX_DOF, Model, blank_model
 from ..model.file import save_model
-from ._session import configure_plausible, plausible_session
+from ._session import as_read, configure_plausible, configure_without_tracker, plausible_session
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -23,14 +23,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--terms", help="effect ids with commas between, instead of --dof (default for absolute sessions: the geometric model)"
     )
     configure_plausible(parser)
+    configure_without_tracker(parser)
     parser.add_argument("--json", action="store_true", help="machine-readable figures on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
-    session = plausible_session(args)
+    session = as_read(args, plausible_session(args))
     if args.terms or args.dof:
         effects = args.terms.split(",") if args.terms else (SIX_DOF if args.dof == 6 else EIGHTEEN_DOF)
-        terms = blank_model([e.strip() for e in effects])
+        terms = with_disc(blank_model([e.strip() for e in effects]), session)
     else:
         terms = default_terms(session)
     model, notes = solved(session, terms)

@@ -90,7 +90,7 @@ class Effect(ABC):
         cause: what its displacement comes from; decides about predictions and the live correction.
         elastic: a spring of the structure: part of the elastic response that other effects refer to.
         needs_elastic: reads `scene.elastic`.
-        needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`.
+        needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`, `tracker`.
         registers: places instruments of an absolute session; belongs to the session, not to the robot.
         evidence: where a session shows it.
         family: effects that pass for each other; None: not known (effects of users).
@@ -201,6 +201,10 @@ def absent(scene: Scene, needs: tuple[str, ...]) -> str:
         needs: names as in `Effect.needs`.
     """
     for need in needs:
+        if need == "tracker" and scene.instruments.by_contact:
+            return "no tracker measured in this session"
+        if need in ("time", "order", "step") and scene.instruments.by_contact:
+            return "without a tracker the reference row is under load already, and what was before is not known"
         if need == "time" and scene.clock != "time":
             return "the session has no usable time stamps"
         if need in ("order", "step") and scene.clock == "none":

@@ -8,6 +8,7 @@ from .base_compliance import BaseCompliance
 from .bending_place import BendingPlace
 from .counterbalance import Counterbalance
 from .creep import Creep
+from .disc_compliance import DiscCompliance
 from .encoder_harmonics import EncoderHarmonics
 from .external_force import ExternalForce
 from .geometry_error import GeometryError
@@ -48,6 +49,7 @@ CATALOGUE: tuple[type[Effect], ...] = (
     ToolWeight,
     StationRegistration,
     TrackerScale,
+    DiscCompliance,
     StationShift,
     ThermalDrift,
     Creep,

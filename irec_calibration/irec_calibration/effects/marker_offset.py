@@ -24,6 +24,7 @@ class MarkerOffset(Effect):
     acts_on = "instrument"
     cause = Cause.MEASUREMENT
     needs_elastic = True
+    needs = ("tracker",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         if not all(scene.instruments.marker_known):  # an unknown marker is free already: marker_position

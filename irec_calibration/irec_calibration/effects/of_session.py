@@ -59,6 +59,7 @@ def scene_of(session: Session, *, observe: str = "marker") -> Scene:
             station_known=tuple(s.known or session.kind == "loaded" for s in session.stations),
             marker_known=tuple(m.known or session.kind == "loaded" for m in session.markers),
             measured_from_station=from_station, modelled_from_station=modelled, sensor_axis_in_tool=(x, y, z),
+            by_contact=session.contact is not None,
         ),
         ext=session.ext,
         temperature=session.temperature,

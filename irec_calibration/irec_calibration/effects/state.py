@@ -198,6 +198,7 @@ class Instruments:
         modelled_from_station: vector from the station to where the controller believes the marker, (n, 3), m; None in
             predictions.
         sensor_axis_in_tool: mounting axis of the force sensor, (3,).
+        by_contact: the observed point is the disc on the tooling; there is no tracker.
     """
 
     station: IntArray
@@ -209,6 +210,7 @@ class Instruments:
     measured_from_station: Array | None = None
     modelled_from_station: Array | None = None
     sensor_axis_in_tool: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    by_contact: bool = False
 
     def __post_init__(self) -> None:
         if len(self.station_known) != len(self.stations):

@@ -24,6 +24,7 @@ class StationRegistration(Effect):
     acts_on = "instrument"
     cause = Cause.MEASUREMENT
     needs_elastic = True
+    needs = ("tracker",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(

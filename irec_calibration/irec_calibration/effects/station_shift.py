@@ -24,7 +24,7 @@ class StationShift(Effect):
     evidence = Evidence.ONE_POSE
     acts_on = "instrument"
     cause = Cause.MEASUREMENT
-    needs = ("time",)
+    needs = ("time", "tracker")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         stamps = np.unique(scene.stamp)

@@ -22,6 +22,7 @@ class TrackerScale(Effect):
     acts_on = "instrument"
     cause = Cause.MEASUREMENT
     needs_elastic = True
+    needs = ("tracker",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return (Parameter("s", "1", 0.01, -0.5, 0.5, plausible=(-0.1, 0.1)),)

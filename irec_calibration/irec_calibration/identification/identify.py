@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..effects import find_effect
+from ..effects.disc_compliance import DiscCompliance
 from ..effects.scales import rated_torque, rating_known
 from ..model import EIGHTEEN_DOF, Combination, Term, blank_model, elastic_response, total_displacement
 from ..session.data import Session
@@ -159,7 +161,13 @@ def _with_notes(session: Session) -> Session:
 
 def default_terms(session: Session) -> tuple[Term, ...]:
     """What a fit starts from where no model is named: 18 DOF, or the geometric model for an absolute session."""
-    return base_terms() if session.kind == "absolute" else blank_model(EIGHTEEN_DOF)
+    return base_terms() if session.kind == "absolute" else with_disc(blank_model(EIGHTEEN_DOF), session)
+
+
+def with_disc(terms: Sequence[Term], session: Session) -> tuple[Term, ...]:
+    """The terms, with that of the disc where the contact stands in for the tracker: no such session is without it."""
+    there = any(t.effect.id == DiscCompliance.id for t in terms)
+    return tuple(terms) if there or session.contact is None else (*terms, Term(find_effect(DiscCompliance.id)))
 
 
 def with_registration(terms: Sequence[Term], observation: Observation) -> tuple[Term, ...]:

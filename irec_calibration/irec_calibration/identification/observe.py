@@ -11,7 +11,7 @@ import numpy as np
 from ..effects.of_session import marker_by_controller, scene_of
 from ..effects.scene import Scene
 from ..errors import SolveError
-from ..session.data import Session
+from ..session.data import Contact, Session
 from ..session.registration import registered
 from ..typing import Array, BoolArray, IntArray
 from .noise import Whitening, position_sigma
@@ -35,6 +35,7 @@ class Observation:
         weight: of each row against its stated noise, (m,); 1: counts in full.
         bad: rows that were found to be wrong (`outliers.treated`), left out of this observation or down-weighted.
         repeating: that the residual repeats with the pose, in words; empty where nothing shows it.
+        sees: what a row sees of a displacement of its point, (m, 3, 3), in base_link; None: all of it. y and `of` have it.
     """
 
     session: Session
@@ -46,6 +47,7 @@ class Observation:
     weight: Array = field(default_factory=lambda: np.ones(0))
     bad: tuple[BadRow, ...] = ()
     repeating: str = ""
+    sees: Array | None = None
 
     def __post_init__(self) -> None:
         if len(self.weight) != len(self.rows):
@@ -59,7 +61,8 @@ class Observation:
     def only(self, keep: BoolArray) -> Observation:
         """Some observed rows only, (m,) mask; the scene stays whole."""
         rows, y, pose, weight = self.rows[keep], self.y[keep], self.pose[keep], self.weight[keep]
-        return replace(self, rows=rows, y=y, pose=pose, whiten=self.whiten.only(keep), weight=weight)
+        sees = None if self.sees is None else self.sees[keep]
+        return replace(self, rows=rows, y=y, pose=pose, whiten=self.whiten.only(keep), weight=weight, sees=sees)
 
     def weighted(self, weight: Array) -> Observation:
         """The same rows, each counting as much less as its weight says, (m,)."""
@@ -68,7 +71,8 @@ class Observation:
 
     def of(self, displacement: Array) -> Array:
         """What the observed rows see of a displacement per session row: (n, 3[, p]) -> (m, 3[, p])."""
-        return self.scene.change(displacement)[self.rows]
+        change = self.scene.change(displacement)[self.rows]
+        return change if self.sees is None else np.einsum("mij,mj...->mi...", self.sees, change)
 
 
 def beyond_controller(session: Session, scene: Scene) -> Array:
@@ -98,6 +102,7 @@ def observe(session: Session, compliance: Array | None = None) -> Observation:
         if not len(rows):
             raise SolveError(
                 f"{session.path or session.name}: no loaded row with its marker and its reference seen; nothing to identify from"
+                " (irec solve --without-tracker needs none)"
             )
     else:
         rows = np.flatnonzero(seen)
@@ -112,4 +117,13 @@ def observe(session: Session, compliance: Array | None = None) -> Observation:
         whiten = Whitening(sigma[rows], sigma[scene.reference[rows]], scene.reference[rows])
     else:
         whiten = Whitening(sigma[rows], np.zeros(len(rows)), session.pose[rows])
-    return Observation(session, scene, rows, y, session.pose[rows], whiten)
+    plain = Observation(session, scene, rows, y, session.pose[rows], whiten)
+    return plain if session.contact is None else _held_by_contact(plain, session.contact)
+
+
+def _held_by_contact(plain: Observation, contact: Contact) -> Observation:
+    """The observation with displacements across tool0 z scaled down, so that all three are as well known as that along it."""
+    z = plain.scene.kin.R_tool[plain.rows, :, 2]
+    across = contact.normal_m / contact.slip_m
+    sees = across * np.eye(3) + (1.0 - across) * z[:, :, None] * z[:, None, :]
+    return replace(plain, sees=sees, y=np.einsum("mij,mj->mi", sees, plain.y))

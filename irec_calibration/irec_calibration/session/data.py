@@ -85,6 +85,19 @@ class ExternalAxis:
 
 
 @dataclass(frozen=True)
+class Contact:
+    """What takes the tracker's place in a session whose measured point is the disc on the tooling (`without_tracker`).
+
+    Attributes:
+        normal_m: how far the disc comes or goes along tool0 z although it is believed to stay, one standard deviation, m.
+        slip_m: the same across tool0 z, m; much larger, since a disc creeps and slips along the surface.
+    """
+
+    normal_m: float
+    slip_m: float
+
+
+@dataclass(frozen=True)
 class Session:
     """One session; n rows, k joints. Row order is the order of the file. Arrays are read-only.
 
@@ -105,6 +118,7 @@ class Session:
         meta: the content of session.yaml, for what the attributes do not name.
         is_whole: nothing of a recording is missing; False while it is still being written.
         notes: what the reader wants the user to know (ignored columns and the like).
+        contact: positions are those of the disc on the tooling, not of a tracker's marker; None: a tracker measured.
     """
 
     name: str
@@ -141,6 +155,7 @@ class Session:
     meta: Json = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     is_whole: bool = True
+    contact: Contact | None = None
     path: Path | None = None
 
     def __post_init__(self) -> None:

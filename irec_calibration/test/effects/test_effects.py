@@ -35,7 +35,8 @@ def scene():
     rail = {"rail": np.linspace(-1.0, 1.0, len(data))}
     warm = {"ambient": 20.0 + 0.01 * data.stamp}
     terms = [Term(find_effect("joint_torsion"), {f"c_{k}": Estimate(1e-6) for k in range(1, 7)})]
-    base = replace(scene_of(data), ext=rail, temperature=warm)
+    plain = scene_of(data)
+    base = replace(plain, ext=rail, temperature=warm, instruments=replace(plain.instruments, by_contact=True))  # for the disc
     return replace(base, elastic=elastic_response(terms, base))
 
 
