@@ -42,6 +42,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "posture": ("posture", "how to turn the tool about its axis for the least deviation under the process"),
     "filter": ("filter", "a filter of the wrench that looks ahead, for the measured spectrum of the force"),
     "profile": ("profile", "the force that courses have in common, for the correction to look ahead"),
+    "links": ("links", "what secondary encoders read without process, for the correction to take off"),
     "modes": ("modes", "modes of arm and head from a recorded tap or swept force"),
     "completion": ("completion", "code that makes your shell complete irec's commands and options"),
     "rsi-config": ("rsi_config", "KRC configuration and KRL example for RSI"),

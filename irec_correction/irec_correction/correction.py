@@ -149,6 +149,8 @@ class Correction:
         if self.supervisor.state is State.FAULT:
             self.supervisor.stop(now, self.present)
         self.deflection.reset()
+        if self.links is not None:
+            self.links.start()
         self.watchdog.clear_errors()
         self.supervisor.start(now, self.present)
 
@@ -206,6 +208,10 @@ class Correction:
             self.watchdog.refuse("secondary encoders", Fault.JOINTS_NOT_FINITE, wrong)
         else:
             self.watchdog.clear("secondary encoders")
+
+    def refuse_links(self, finding: Finding) -> None:
+        """What came from the secondary encoders can't be used, and why; stands until windups come that can."""
+        self.watchdog.refuse("secondary encoders", finding.fault, finding.text)
 
     # -- output --------------------------------------------------------------------------------------------------------
 

@@ -22,10 +22,19 @@ class Links:
     The model beside it has to be one of what lies beyond the encoders: identified from a session with link-side joint angles.
     """
 
-    def __init__(self, robot: Robot, filters: Sequence[Filter]) -> None:
+    def __init__(self, robot: Robot, filters: Sequence[Filter], late: float = LATE, zeroed: bool = False) -> None:
+        """Args: late: s without a windup after which the last one is not believed. zeroed: what the gears have wound up when the
+        correction starts, without process, is taken off from then on."""
         self._filters, self._chain = list(filters), build_chain(robot)
         self._columns = [self._chain.index[f"joint_{k + 1}"] for k in range(robot.n_joints)]
         self._windup, self._seen = np.zeros(robot.n_joints), -np.inf
+        self._late, self._zeroed = late, zeroed
+        self._zero: Array | None = np.zeros(robot.n_joints)
+
+    def start(self) -> None:
+        """The correction starts."""
+        if self._zeroed:
+            self._zero = None
 
     def take(self, now: float, windup: Array) -> str:
         """Link-side minus motor-side angles, less what they are there without process, (k,), rad, at the time `now`, s.
@@ -39,12 +48,14 @@ class Links:
             return f"windups are {np.round(windup, 6).tolist()} rad; numbers of at most {LARGEST} rad are believed"
         for stage in self._filters:
             windup = stage.step(windup)
-        self._windup, self._seen = np.asarray(windup, dtype=float), now
+        if self._zero is None:
+            self._zero = np.array(windup, dtype=float)
+        self._windup, self._seen = np.asarray(windup, dtype=float) - self._zero, now
         return ""
 
     def is_late(self, now: float) -> bool:
-        """Whether nothing that can be believed has come for longer than LATE."""
-        return now - self._seen > LATE
+        """Whether nothing that can be believed has come for too long."""
+        return now - self._seen > self._late
 
     def displacement(self, q: Array) -> Array:
         """Of the TCP in base_link at motor-side angles q (k,), rad: (3,), m."""

@@ -75,3 +75,21 @@ def test_a_chain_without_encoders_does_not_look_at_windups() -> None:
     rig.correction.take_links(rig.now, np.full(6, np.nan))
     assert rig.run(0.2).state is State.ACTIVE
     np.testing.assert_allclose(rig.outputs[-1].translation, before, atol=5e-6)
+
+
+def test_without_a_dry_drive_what_the_gears_have_wound_up_at_the_start_is_taken_off() -> None:
+    rig = LinkRig()
+    rig.correction.links = Links(ROBOT, [], zeroed=True)
+    gravity = np.array([2e-4, 1.2e-3, -9e-4, 1e-4, -2e-4, 0.0])
+    rig.windup = gravity
+    rig.active()
+    rig.windup = gravity + WINDUP
+    rig.run(0.5)
+    expected = Links(ROBOT, [])
+    expected.take(0.0, WINDUP)
+    assert rig.correction.links is not None
+    np.testing.assert_allclose(rig.correction.links.displacement(Q), expected.displacement(Q), atol=1e-9)
+    rig.correction.stop(rig.now)
+    rig.run(2.0)
+    rig.active()  # started anew: from what is there now
+    np.testing.assert_allclose(rig.correction.links.displacement(Q), np.zeros(3), atol=1e-9)

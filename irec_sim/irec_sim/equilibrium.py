@@ -38,6 +38,7 @@ class Equilibrium:
         self._contact = Contact()
         self._base: tuple[Array, Array, Frames] | None = None
         self._found_at = np.full(motor.shape, np.inf)
+        self._frees = bool(np.isfinite(plant.parameters.release))
         self._state, self.frames = plant.equilibrium(motor, conditions, plant.relaxed(motor, conditions))
         self.conditions, self.force = conditions, np.zeros(3)
 
@@ -47,7 +48,8 @@ class Equilibrium:
         """Equilibrium at new motor angles.
 
         Lever arms are taken from a configuration at most REUSE away, which leaves nanometres. A free arm that moves winds up
-        no friction: its gears turn.
+        no friction: its gears turn. Where the plant says how far a joint turns until its friction is freed, a loaded arm that
+        moves loses friction by that.
 
         Args:
             motor: (1, n), rad. process: force at the TCP in tool0 in place of contact, (3,), N; None: contact with the tooling.
@@ -58,13 +60,15 @@ class Equilibrium:
         free = process is None and not self._contact.touching
         if free and not plant.creeps and float(np.abs(motor - self._found_at).max()) < STILL:
             return  # nothing pushes and nothing moves
-        self._found_at = motor
+        moved, self._found_at = motor - self._found_at, motor
         begin, force = self._state, self.force
         frames = self._frames_near(motor, begin.e)
         after = Contact()
         conditions = under(force)
         if free and moving:
             begin = plant.released(frames, motor, conditions, begin)
+        elif self._frees and np.isfinite(moved).all():
+            begin = plant.released(frames, motor, conditions, begin, moved)
         c = plant.compliance(motor, conditions)
         if process is None:
             compliance = plant.tcp_compliance(frames, c)[0]

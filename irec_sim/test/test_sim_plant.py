@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_sim.cellfile import read_cell
+from irec_sim.equilibrium import Equilibrium
 from irec_sim.errors import SimError
 from irec_sim.kinematics import forward, rotation
 from irec_sim.laws import GearCurve, Maxwell, play, presliding
@@ -414,3 +415,33 @@ def test_springs_too_soft_to_carry_the_arm_are_reported():
     plant = Plant(CHAIN, replace(PLAIN, axial=np.full(6, 1e-3)))
     with pytest.raises(SimError, match="no static equilibrium"):
         plant.relaxed(Q)
+
+
+@pytest.mark.parametrize(("release", "turned"), [(5e-3, 5e-3), (5e-3, 0.0), (np.inf, 5e-3)])
+def test_a_loaded_arm_that_moves_loses_friction_step_by_step_as_in_one_step(release, turned):
+    """The cell of the nodes goes in steps of a millisecond, a session that is generated directly from row to row."""
+    par = replace(PLAIN, friction=np.full(6, 0.3), friction_torque=np.full(6, 200.0), friction_form="sliders", release=release)
+    plant, cell = Plant(CHAIN, par), read_cell("afp")
+
+    def loaded(force):
+        return replace(Conditions.idle(1), force=force[None], process_on=np.ones(1, dtype=bool))
+
+    arm = Equilibrium(cell, plant, Q, loaded(np.zeros(3)))
+    in_tool = arm.frames.R_tool[0].T @ FORCE[0]
+    for _ in range(5):  # standing, so that dry friction holds what it can
+        arm.step(Q, False, in_tool, np.zeros(3), loaded, 0.004)
+    stood = plant.relaxed(Q, loaded(np.zeros(3)))
+    stood, frames = plant.equilibrium(Q, loaded(arm.force), stood)
+    np.testing.assert_allclose(arm.frames.p_tcp, frames.p_tcp, atol=1e-6)
+    way = Q + turned * np.linspace(0.0, 1.0, 201)[1:, None, None]
+    for q in way:
+        arm.step(q, True, in_tool, np.zeros(3), loaded, 0.004)
+    here, there = way[-1], loaded(arm.force)
+    begin = plant.released(frames, Q, loaded(FORCE[0]), stood, here - Q) if np.isfinite(release) else stood
+    expected = plant.equilibrium(here, there, begin)[1].p_tcp
+    freed = plant.equilibrium(here, there, plant.released(frames, Q, loaded(FORCE[0]), stood))[1].p_tcp
+    held = plant.equilibrium(here, there, stood)[1].p_tcp
+    size = np.linalg.norm(freed - held)
+    assert size > 5e-5
+    assert np.linalg.norm(arm.frames.p_tcp - expected) < 0.1 * size
+    assert (np.linalg.norm(arm.frames.p_tcp - held) > 0.5 * size) == (turned > 0.0 and np.isfinite(release))

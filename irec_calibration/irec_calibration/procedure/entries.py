@@ -106,8 +106,8 @@ def _standing(p: Procedure, joints: Array, p_tcp: Array, quat: Array, p_marker: 
 
 
 def begin_window(p: Procedure) -> None:
-    """Only readings from now on may count."""
-    p.window_from = p.since
+    """Only readings from now on may count; those of a load case, once it has been held."""
+    p.window_from = p.since + (p.settings.settling.hold_s if p.state == "settle" else 0.0)
 
 
 def record_and_switch(p: Procedure) -> None:

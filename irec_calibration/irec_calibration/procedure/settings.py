@@ -13,6 +13,7 @@ from ..typing import Array
 from .table import STATES
 
 MOST_REPEATS = 1000
+LONGEST_HOLD = 600.0  # s
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class Settling:
         force_drift_n, marker_drift_m: largest difference of the means of the two halves, beyond their noise, N and m.
         marker_std_m: largest standard deviation of the marker, each axis, m.
         slip_m: largest lateral way of the marker since the reference, m; more means that the contact has slipped.
+        hold_s: s that a load case is held before its window begins; gears creep, and the process holds its forces for longer.
     """
 
     force_n: float
@@ -31,6 +33,7 @@ class Settling:
     marker_drift_m: float
     marker_std_m: float
     slip_m: float
+    hold_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,8 @@ def read_settings(cell: Cell) -> Settings:
     if not isinstance(stands_there, bool):
         raise CellError(f"{cell.path}: procedure.operator_at_robot is {stands_there!r}; true or false is needed")
     still = s.section("settling")
-    still.only("force_n", "force_drift_n", "marker_drift_m", "marker_std_m", "slip_m")
+    needed = ("force_n", "force_drift_n", "marker_drift_m", "marker_std_m", "slip_m")
+    still.only(*needed, "hold_s")
     timed = [state.name for state in STATES.values() if state.otherwise and not state.timeout]
     timeouts = s.section("timeouts")
     timeouts.only(*timed)
@@ -114,7 +118,10 @@ def read_settings(cell: Cell) -> Settings:
         home_speed=s.number("home_speed", 0.001, 1.0),
         linear_speed=s.number("linear_speed", 0.0001, 1.0),
         window_s=s.number("window_s", 0.05, 60.0),
-        settling=Settling(*(still.number(k, 1e-9) for k in Settling.__dataclass_fields__)),
+        settling=Settling(
+            **{k: still.number(k, 1e-9) for k in needed},
+            hold_s=still.number("hold_s", 0.0, LONGEST_HOLD) if "hold_s" in still else 0.0,
+        ),
         min_samples=int(s.number("min_samples", 4)),
         force_abort_n=s.number("force_abort_n", 1.0),
         sensor_range_n=sensor.number("range_n", 1.0),
@@ -127,6 +134,12 @@ def read_settings(cell: Cell) -> Settings:
         operator_at_robot=stands_there,
     )
     check_loads(cell, settings)
+    held = settings.settling.hold_s + settings.window_s
+    if held >= settings.timeouts["settle"]:
+        raise CellError(
+            f"{cell.path}: procedure.timeouts.settle is {settings.timeouts['settle']:g} s, must be more than"
+            f" settling.hold_s and window_s, {held:g} s"
+        )
     return settings
 
 

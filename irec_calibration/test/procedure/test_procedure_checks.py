@@ -93,6 +93,8 @@ def changed_cell(tmp_path: Path, old: str, new: str) -> Path:
         ("  force_abort_n: 1600.0", "  force_abort_n: 1000.0", "must be more than the largest"),
         ("  force_abort_n: 1600.0", "  force_abrot_n: 1600.0", "write force_abort_n"),
         ("    settle: 15.0", "    settle: 0.0", r"timeouts\.settle"),
+        ("    slip_m: 1.0e-3", "    slip_m: 1.0e-3\n    hold_s: -1.0", r"settling\.hold_s"),
+        ("    slip_m: 1.0e-3", "    slip_m: 1.0e-3\n    hold_s: 14.8", r"timeouts\.settle is 15 s, must be more than .* 15\.2 s"),
         ("  fx: 280.0", "  fx: 800.0", "would slip"),
         ("  min_samples: 20", "", "min_samples is missing"),
         ("  lower: [0.2,", "  lower: [9.2,", r"workspace\.upper"),

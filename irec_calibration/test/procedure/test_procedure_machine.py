@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fake_robot import FORCES, FakeRobot, keys
+from fake_robot import FORCES, FakeRobot, keys, settings
 from irec_calibration.procedure.commands import MoveJoint, MoveLinear, SwitchMode
 from irec_calibration.procedure.entries import ENTRIES
 from irec_calibration.procedure.guards import GUARDS
@@ -113,6 +113,16 @@ def test_recorded_forces_are_the_means_of_what_was_read() -> None:
     robot = FakeRobot(1).start().run()
     for row in robot.rows[1:]:
         np.testing.assert_allclose(row.window.force_in_tool.mean(axis=0), FORCES[row.load_case - 1], atol=15.0)
+
+
+def test_a_load_case_is_held_as_long_as_the_cell_file_says_before_its_window_begins() -> None:
+    still = settings().settling
+    quick, held = (FakeRobot(1, settings={"settling": replace(still, hold_s=s)}).start().run() for s in (0.0, 3.0))
+    assert keys(held) == keys(quick)
+    for robot, least in ((quick, 0.0), (held, 3.0)):
+        begun = [row.window.begin for row in robot.rows]
+        between = np.diff(begun)  # the first is the reference, which nothing loads
+        assert (between > least).all() and between.max() < least + 3.0
 
 
 def test_a_row_is_not_recorded_before_the_force_stands_still() -> None:

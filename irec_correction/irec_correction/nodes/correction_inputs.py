@@ -8,10 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
+from irec_calibration.typing import Array
 from sensor_msgs.msg import JointState
 
 from ..correction import Correction
+from ..link_angles import LinkAngles
 from ..orientations import Orientations
+from ..watchdog import Finding
 from .chain_clock import ChainClock
 
 
@@ -20,14 +23,17 @@ class CorrectionInputs:
 
     def __init__(
         self, correction: Correction, names: Sequence[str], clock: ChainClock, rail_joint: str,
-        orientations: Orientations | None = None,
+        orientations: Orientations | None = None, links: LinkAngles | None = None,
     ) -> None:  # fmt: skip
         """names: of the robot's joints in joint_states, from base to tool; rail_joint: of the rail there."""
+        self._links = links
         self._correction, self._clock, self._orientations = correction, clock, orientations
         self._wanted, self._rail_joint = tuple(names), rail_joint
         self._names: list[str] = []
         self._columns: list[int] = []
         self._rail: int | None = None
+        self._link_names: list[str] = []
+        self._link_columns: list[int] = []
 
     def take_wrench(self, message: WrenchStamped) -> float:
         """One reading; the time of the chain, s."""
@@ -51,9 +57,36 @@ class CorrectionInputs:
         q = np.array([message.position[i] for i in self._columns if i < given], dtype=float)
         stamp = self._clock.of(message.header.stamp)
         rail = message.position[self._rail] if self._rail is not None and self._rail < given else 0.0
-        self._correction.take_joints(stamp, self._clock.now(stamp), q, rail)
+        now = self._clock.now(stamp)
+        self._correction.take_joints(stamp, now, q, rail)
+        if self._links is not None and q.shape == (len(self._wanted),) and np.isfinite(q).all():
+            self._pass_on(self._links.take_motor(stamp, q))
         if self._orientations is not None and len(q) == len(self._wanted) and math.isfinite(float(q.sum())):
             self._orientations.take_joints(stamp, q)
+
+    def take_links(self, message: JointState) -> None:
+        """Link-side angles by name; a message without any joint of the robot is somebody else's."""
+        if self._links is None:
+            return
+        if message.name != self._link_names:
+            self._link_names = list(message.name)
+            self._link_columns = [self._link_names.index(j) for j in self._wanted if j in self._link_names]
+        if not self._link_columns:
+            return
+        given = len(message.position)
+        angles = np.array([message.position[i] for i in self._link_columns if i < given], dtype=float)
+        stamp = self._clock.of(message.header.stamp)
+        self._pass_on(self._links.take_link(stamp, self._clock.now(stamp), angles))
+
+    def _pass_on(self, told: tuple[float, Array | Finding] | None) -> None:
+        """A windup, as old as its stamp is, or what is wrong with it."""
+        if told is None:
+            return
+        stamp, windup = told
+        if isinstance(windup, Finding):
+            self._correction.refuse_links(windup)
+        else:
+            self._correction.take_links(stamp, windup)
 
     def _learn(self, names: list[str]) -> None:
         self._names = names

@@ -51,7 +51,7 @@ class CorrectionNode(Managed):
 
     def __init__(self) -> None:
         super().__init__("correction_node")
-        self._p = Parameters(self, parameters.CORRECTION)
+        self._p = Parameters(self, (*parameters.CORRECTION, *parameters.LINKS))
         refuse_unknown_parameters(self)
         for name in [p.name for p in parameters.CORRECTION if p.settable]:
             self._p.when_set(name, self._take_limits)
@@ -75,6 +75,9 @@ class CorrectionNode(Managed):
             (self.destroy_timer, self.create_timer(self._period, self._on_missing_tick, clock=steady)),
             (self.destroy_timer, self.create_timer(1.0, self._on_second, clock=steady)),
         ]
+        if self._p["links.topic"]:
+            link_states = subscribe(JointState, self._p["links.topic"], self._on_links, SENSOR_QOS)
+            made.append((self.destroy_subscription, link_states))
         if self._orientations is not None:
             made += create_services(self, self._orientations, self._take_load)
         self.entities += made
@@ -122,8 +125,11 @@ class CorrectionNode(Managed):
         self._chain_clock = ChainClock(self)
         self._correction = Correction(settings, robot, conditioner)
         self._correction.preview = parameters.preview(p, robot)
+        encoders = parameters.links(p, robot)
+        self._correction.links = encoders[0] if encoders else None
         self._orientations = Orientations(robot, where[0], gravity) if where is not None else None
-        self._inputs = CorrectionInputs(self._correction, names, self._chain_clock, rail, self._orientations)
+        self._inputs = CorrectionInputs(self._correction, names, self._chain_clock, rail, self._orientations,
+                                        encoders[1] if encoders else None)  # fmt: skip
         self._outputs = CorrectionOutputs(
             self, self._correction, self._chain_clock, serial, parameters.offset_frame(p), self._status,
             parameters.outputs(p), names,
@@ -236,6 +242,9 @@ class CorrectionNode(Managed):
 
     def _on_joints(self, message: JointState) -> None:
         self._inputs.take_joints(message)
+
+    def _on_links(self, message: JointState) -> None:
+        self._inputs.take_links(message)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         now = self._inputs.take_wrench(message)

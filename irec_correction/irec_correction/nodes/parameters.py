@@ -17,6 +17,8 @@ from ..correction import CorrectionSettings
 from ..errors import SettingsError
 from ..fir import read_taps
 from ..limits import Bounds, OffsetLimits
+from ..link_angles import LinkAngles, read_dry_drive
+from ..links import LATE, Links
 from ..preview import ForceProfile, Preview, read_profile
 from ..state import StateTimes
 from ..watchdog import WatchdogSettings
@@ -88,7 +90,16 @@ CORRECTION = (
     P("watch.torque_margin", 100.0, "margin on top of it", 0.0, 1e5, unit="N m"),
 )
 
-# what rsi_bridge has beyond the table above; the rate is that of RSI
+# what correction_node has beyond the table above; rsi_bridge can't take them
+LINKS = (
+    P("links.topic", "", "joint states behind the gears (secondary encoders); empty: none. The model is one of what lies beyond"),
+    P("links.file", "", "table of the course without process (irec links); empty: the windup at the start is taken off"),
+    P("links.rate", 250.0, "rate of these messages, for which their low-pass is designed", 10.0, 8000.0, unit="Hz"),
+    P("links.cutoff", 3.0, "low-pass of the windup, well below the lowest mode of the arm; 0: none", 0.0, 4000.0, unit="Hz"),
+    P("links.timeout", LATE, "longest time without a windup that can be believed", 0.001, 5.0, unit="s"),
+)
+
+# what rsi_bridge has beyond CORRECTION; the rate is that of RSI
 RSI = (
     P("autostart", True, "configure, and activate as soon as there is a model; false: wait for the lifecycle services"),
     P("address", "127.0.0.1", "address of this machine on the robot's network"),
@@ -186,6 +197,20 @@ def preview(v: Parameters, robot: Robot) -> Preview | None:
     if known is None:
         return None
     return Preview(known, v["preview.lead"], make_filters(filter_settings(v, robot.joint_names)), slack=v["preview.slack"])
+
+
+def links(v: Parameters, robot: Robot) -> tuple[Links, LinkAngles] | None:
+    """Secondary encoders, and what pairs their angles with those of the motors; None without them. Raises SettingsError."""
+    if not v["links.topic"]:
+        if v["links.file"]:
+            raise SettingsError("links.file is given without links.topic; name the topic of the link-side joint states")
+        return None
+    if v["links.topic"] == "joint_states":
+        raise SettingsError("links.topic is joint_states, which holds the motor-side angles")
+    dry = read_dry_drive(v["links.file"], robot.joint_names) if v["links.file"] else None
+    filters = make_filters(FilterSettings(rate=v["links.rate"], cutoff=v["links.cutoff"]))
+    windup = Links(robot, filters, late=v["links.timeout"], zeroed=dry is None)
+    return windup, LinkAngles(robot.n_joints, v["watch.clock_tolerance"], dry)
 
 
 def tool_load(v: Parameters) -> ToolLoad:
