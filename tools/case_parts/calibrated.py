@@ -14,10 +14,12 @@ from pathlib import Path
 import numpy as np
 from irec_calibration.cell import Cell
 from irec_calibration.diagnose.improve import improve
+from irec_calibration.identification.identify import default_terms
 from irec_calibration.model import EIGHTEEN_DOF, SIX_DOF, Model, blank_model
 from irec_calibration.model.file import load_model, save_model
 from irec_calibration.poses.store import read_poses
 from irec_calibration.session import read_session, write_table
+from irec_calibration.session.without_tracker import without_tracker
 from irec_sim.cellfile import CellFile
 from irec_sim.kinematics import forward
 from irec_sim.poses import Poses
@@ -112,6 +114,15 @@ def solved(session: Path, effects: tuple[str, ...] | list[str], path: Path) -> M
 def beyond_links(session: Path, folder: Path) -> Model:
     """Of what lies beyond the secondary encoders of a session with link-side angles: the structure."""
     return solved(session, EIGHTEEN_DOF, folder / "model_links.yaml")
+
+
+def by_contact(session: Path, folder: Path) -> Model:
+    """18 DOF from the same session without a reading of its tracker: the disc on the tooling is the measured point."""
+    path = folder / "model_contact.yaml"
+    if not path.is_file():
+        held = without_tracker(read_session(session))
+        save_model(diagnose.solved(held, default_terms(held))[0], path)
+    return load_model(path)
 
 
 def six(session: Path, folder: Path) -> Model:

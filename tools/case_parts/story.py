@@ -55,6 +55,7 @@ class Teller:
 
 
 LINKS = "18 DOF, secondary encoders"
+CONTACT = "18 DOF, without the tracker"
 THROUGH_NODES = "through the nodes: simulated cell on the hard plant, procedure node, session.mcap"
 GENERATED = "generated directly from the plant at the planned poses (--no-nodes), not through the nodes"
 
@@ -79,13 +80,16 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
     say(f"improved: {' + '.join(best.effects)}, {_um(best)} um on held-out poses")
     behind = calibrated.link_session(sim, cell, hard.truth, case.out / "session_links")
     calibrated.beyond_links(behind, case.out)
-    models = {k: str(case.out / f"model_{k}.yaml") for k in ("6dof", "18dof", "improved")}
+    held = calibrated.by_contact(session, case.out)
+    say(f"without the tracker: {' + '.join(held.effects)}, {_um(held)} um on held-out poses, mostly along the normal")
+    models = {k: str(case.out / f"model_{k}.yaml") for k in ("6dof", "18dof", "improved", "contact")}
     whole = {
         "without": Job("without", rows),
         "18 DOF": Job("18dof", rows, models["18dof"]),
         "improved": Job("improved", rows, models["improved"]),
         "6 DOF": Job("6dof", rows, models["6dof"]),
         LINKS: Job("links", rows, str(case.out / "model_links.yaml"), links=True),
+        CONTACT: Job("contact", rows, models["contact"]),
         "oracle": Job("oracle", rows, "oracle"),
     }
     plan = budget_jobs(case, say) if budget else None

@@ -188,7 +188,7 @@ def test_the_command_says_why_it_can_not(tmp_path, capsys):
     assert not (tmp_path / "m.yaml").exists()
 
 
-@pytest.mark.parametrize(("effect", "said"), [("tracker_scale", "no tracker measured"), ("creep", "what was before is not known")])
+@pytest.mark.parametrize(("effect", "said"), [("tracker_scale", "no tracker measured"), ("creep", "was before is not known")])
 def test_effects_that_need_a_tracker_or_a_relaxed_reference_are_refused(effect, said):
     held = without_tracker(pressed(6))
     with pytest.raises(SolveError, match=said):
