@@ -8,6 +8,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+from ..identification.identify import with_disc
 from ..model import Model
 from ..model.file import check_belongs, load_model
 from ..session import Session, read_session
@@ -42,10 +43,15 @@ def as_read(args: argparse.Namespace, session: Session) -> Session:
 
 
 def starting_model(args: argparse.Namespace, session: Session) -> Model | None:
-    """The model of `--model`, of this robot; None where none was given. ModelError: it is another robot's, or can't be read."""
+    """The model of `--model`, of this robot, with the disc where the session has one; None where none was given.
+
+    Raises:
+        ModelError: it is another robot's, or can't be read.
+    """
     model = load_model(args.model) if args.model else None
     if model is not None:
         check_belongs(model, session.robot, session.serial)
+        model = replace(model, terms=with_disc(model.terms, session))
     return model
 
 

@@ -15,7 +15,7 @@ from ..report.diagnosis import contradiction, write_diagnosis_report
 from ..report.next_steps import after_diagnosis, in_lines
 from ._progress import Progress
 from ._report import report
-from ._session import configure_plausible, plausible_session, starting_model
+from ._session import as_read, configure_plausible, configure_without_tracker, plausible_session, starting_model
 
 SHOWN, WIDTH = 5, 100
 
@@ -25,11 +25,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", help="model.yaml whose effects to start from (default: 18 DOF; absolute sessions: geometric)")
     parser.add_argument("-o", "--output", default="diagnosis", help="folder for diagnosis.json and tables (default: diagnosis)")
     configure_plausible(parser)
+    configure_without_tracker(parser)
     parser.add_argument("--json", action="store_true", help="diagnosis.json on standard output too")
 
 
 def run(args: argparse.Namespace) -> int:
-    session = plausible_session(args)
+    session = as_read(args, plausible_session(args))
     model = starting_model(args, session)
     result = diagnose(session, model, progress=Progress())
     folder = Path(args.output)
@@ -41,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(in_words(result))
         print(f"wrote {path}{', ' + str(files[0]) if files else ''}")
-        print(in_lines(after_diagnosis(result, args.session, args.model or "")))
+        print(in_lines(after_diagnosis(result, args.session, args.model or "", without_tracker=args.without_tracker)))
     return 0 if result.verdict.status == "adequate" else 1
 
 

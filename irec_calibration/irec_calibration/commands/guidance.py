@@ -111,6 +111,8 @@ def what_follows(command: str, arguments: dict[str, Any]) -> str:
             if out
             else "next: write the nodes' parameters with -o tool_load.yaml"
         )
+    if command == "solve" and arguments.get("without_tracker"):
+        return f"next: see what it lacks: irec improve {shlex.quote(str(arguments['session']))} --without-tracker -o improved"
     text = FOLLOWS.get(command, "")
     quoted = {k: shlex.quote(str(v)) for k, v in arguments.items() if v is not None}
     try:

@@ -18,7 +18,7 @@ from ..report.ladder import write_ladder_report
 from ..report.next_steps import after_improvement, in_lines
 from ._progress import Progress
 from ._report import report
-from ._session import configure_plausible, plausible_session, starting_model
+from ._session import as_read, configure_plausible, configure_without_tracker, plausible_session, starting_model
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,11 +29,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--cell", default="", help="cell file: its process course as predicted before and after")
     configure_plausible(parser)
+    configure_without_tracker(parser)
     parser.add_argument("--json", action="store_true", help="ladder.json on standard output too")
 
 
 def run(args: argparse.Namespace) -> int:
-    session = plausible_session(args)
+    session = as_read(args, plausible_session(args))
     model = starting_model(args, session)
     ladder = improve(session, model, progress=Progress())
     folder = Path(args.output)
@@ -51,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         if driven:
             print(course.in_words(driven))
         print(f"wrote {path}, ladder.json, diagnosis.json{', ' + files[0].name if files else ''}")
-        print(in_lines(after_improvement(ladder, args.session, str(path))))
+        print(in_lines(after_improvement(ladder, args.session, str(path), without_tracker=args.without_tracker)))
     return 0
 
 

@@ -90,7 +90,8 @@ class Effect(ABC):
         cause: what its displacement comes from; decides about predictions and the live correction.
         elastic: a spring of the structure: part of the elastic response that other effects refer to.
         needs_elastic: reads `scene.elastic`.
-        needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`, `tracker`.
+        needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`, `tracker`,
+            `relaxed` (a reference row without load).
         registers: places instruments of an absolute session; belongs to the session, not to the robot.
         evidence: where a session shows it.
         family: effects that pass for each other; None: not known (effects of users).
@@ -203,7 +204,7 @@ def absent(scene: Scene, needs: tuple[str, ...]) -> str:
     for need in needs:
         if need == "tracker" and scene.instruments.by_contact:
             return "no tracker measured in this session"
-        if need in ("time", "order", "step") and scene.instruments.by_contact:
+        if need in ("time", "order", "step", "relaxed") and scene.instruments.by_contact:
             return "without a tracker the reference row is under load already, and what was before is not known"
         if need == "time" and scene.clock != "time":
             return "the session has no usable time stamps"

@@ -33,6 +33,7 @@ class ExternalForce(Effect):
     )
     family = Family.SENSOR
     needs_elastic = True
+    needs = ("relaxed",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         def pull(name: str, group: str) -> Parameter:

@@ -55,7 +55,9 @@ def write_diagnosis_report(
         verdict=v.text,
         status=v.status,
         hero=hero,
-        todo=after_diagnosis(diagnosis, named[0] or str(session.path or "SESSION"), named[1]),
+        todo=after_diagnosis(
+            diagnosis, named[0] or str(session.path or "SESSION"), named[1], without_tracker=session.contact is not None
+        ),
         sections=[
             *_which(diagnosis, session, folder),
             *_formulas(diagnosis),

@@ -45,7 +45,12 @@ def write_ladder_report(
         verdict=verdict,
         status="adequate" if added else ladder.before.verdict.status,
         hero=hero,
-        todo=after_improvement(ladder, named[0] or str(session.path or "SESSION"), named[1] or "model.yaml"),
+        todo=after_improvement(
+            ladder,
+            named[0] or str(session.path or "SESSION"),
+            named[1] or "model.yaml",
+            without_tracker=session.contact is not None,
+        ),
         sections=[_ladder(ladder), *_before_after(ladder, session, folder), *_codec(ladder, session, folder), *more],
     )
     figures = [hero.path, *(f.path for s in page.sections for f in s.figures)]

@@ -14,18 +14,22 @@ from ..model import EIGHTEEN_DOF, GEOMETRIC
 
 Step = tuple[str, str]  # sentence, command or ""
 WIDTH = 100
+WITHOUT_TRACKER = "--without-tracker"
 DEGREES = 57.29577951308232
 
 
-def after_diagnosis(d: Diagnosis, session: str, model: str = "") -> list[Step]:
+def after_diagnosis(d: Diagnosis, session: str, model: str = "", *, without_tracker: bool = False) -> list[Step]:
     """What follows from a diagnosis.
 
     Args:
         session, model: paths as the user typed them; no model: one has to be identified first.
+        without_tracker: the session was read without its tracker, which irec add and the workbench can't do.
     """
     v = d.verdict
     s = shlex.quote(session)
     steps: list[Step] = []
+    if without_tracker:
+        return [("Let irec add what the evidence justifies:", f"irec improve {s} {WITHOUT_TRACKER} -o improved")]
     if v.status == "missing_effect":
         start = model
         if not model:
@@ -79,9 +83,10 @@ def _solve(d: Diagnosis, session: str) -> str:
     return f"irec solve {session}{terms} -o model.yaml"
 
 
-def after_improvement(ladder: Ladder, session: str, model: str) -> list[Step]:
-    """What follows from an improvement; `model` is the file that was written."""
-    s, m = shlex.quote(session), shlex.quote(model)
+def after_improvement(ladder: Ladder, session: str, model: str, *, without_tracker: bool = False) -> list[Step]:
+    """What follows from an improvement; `model` is the file that was written; without_tracker: so was the session read."""
+    m = shlex.quote(model)
+    s = shlex.quote(session) + (f" {WITHOUT_TRACKER}" if without_tracker else "")
     if len(ladder.rungs) < 2:
         return [("No effect was added. See why:", f"irec diagnose {s}")]
     return [

@@ -40,11 +40,14 @@ def bend(kin, force: np.ndarray) -> np.ndarray:
     return u
 
 
-def pressed(poses: int = 31, cases=CASES, encoder: float = 0.0, slip: float = 0.0, spread: float = 0.0, seed: int = 0) -> Session:
+def pressed(
+    poses: int = 31, cases=CASES, encoder: float = 0.0, slip: float = 0.0, spread: float = 0.0, seed: int = 0, gap: float = 0.0
+) -> Session:
     """Force control holds the disc on a rigid tooling: joint angles follow until arm and disc have given way.
 
     Args:
         encoder: noise, rad; slip: along the surface, m; spread: by which forces miss the set point, N: one standard deviation.
+        gap: play of axis 1, rad, that opens within 20 N m.
     """
     rng = np.random.default_rng([seed, 1])
     made = session(poses, seed)
@@ -60,7 +63,9 @@ def pressed(poses: int = 31, cases=CASES, encoder: float = 0.0, slip: float = 0.
         f = np.einsum("nij,nj->ni", kin.R_tool, force)
         goal = stands + np.einsum("nij,nj->ni", kin.R_tool, slipped - DISC * force)
         whole = np.concatenate([kin.jacobian(kin.p_tcp), kin.axis.swapaxes(1, 2)], axis=1)
-        step = np.concatenate([goal - kin.p_tcp - bend(kin, f), np.zeros_like(f)], axis=1)
+        turned = 0.5 * gap * np.tanh(np.einsum("ni,ni->n", kin.jacobian(kin.p_tcp)[:, :, 0], f) / 20.0)
+        play = kin.jacobian(kin.p_tcp)[:, :, 0] * turned[:, None]
+        step = np.concatenate([goal - kin.p_tcp - bend(kin, f) - play, np.zeros_like(f)], axis=1)
         q = q + np.linalg.solve(whole, step[:, :, None])[..., 0]
     q = q + rng.normal(0.0, encoder, q.shape)
     nowhere = np.full((len(q), 3), np.nan)
@@ -193,3 +198,13 @@ def test_effects_that_need_a_tracker_or_a_relaxed_reference_are_refused(effect, 
     held = without_tracker(pressed(6))
     with pytest.raises(SolveError, match=said):
         identify(held, blank_model([*EIGHTEEN_DOF, effect, "disc_compliance"]))
+
+
+def test_improve_finds_the_play_of_a_gear_without_a_tracker(tmp_path, capsys):
+    folder = write_table(pressed(encoder=2e-6, slip=1e-4, spread=3.0, gap=2e-4), tmp_path / "table")
+    assert main(["improve", str(folder), "--without-tracker", "-o", str(tmp_path / "improved")]) == 0
+    model = load_model(tmp_path / "improved" / "model.yaml")
+    assert set(model.effects) >= {"disc_compliance", "joint_backlash"}
+    play = next(t for t in model.terms if t.effect.id == "joint_backlash").estimates["b_1"]
+    assert abs(play.value - 2e-4) < 0.15 * 2e-4
+    assert "--without-tracker --model" in capsys.readouterr().out
