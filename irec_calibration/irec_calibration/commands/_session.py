@@ -75,6 +75,5 @@ def plausible_session(args: argparse.Namespace) -> Session:
     """
     session = read_session(args.session)
     if not args.accept_implausible:
-        check_plausible(session)
-        return session
+        return check_plausible(session)
     return replace(session, notes=(*session.notes, *(f"went on by --accept-implausible although {d}" for d in doubts(session))))

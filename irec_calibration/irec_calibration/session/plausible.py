@@ -8,7 +8,7 @@ limits are far from what real robots do, and medians are judged.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -21,6 +21,8 @@ from .registration import registered
 
 TCP_M = 0.01  # m; controllers and descriptions differ by a calibrated tool and links, not more
 MARKER_M = 0.3  # m; only differences count in a loaded session, so that a station's pose need not be known well
+PLACED_M = 1.0  # m, and TURNED rad: how far stations and markers that fit a loaded session may be from where they are stated
+TURNED = 0.15
 MISFIT = 0.05  # of the spread of the points: an absolute session that is registered as well as can be
 NOISE_M = 2e-3  # m; a tracker that is worse is none
 GRAVITY = (9.0, 10.5)
@@ -29,12 +31,18 @@ FAR_M = 80.0  # m; range of a tracker
 BEST_OF_OTHERS = 0.2  # an alteration that brings a misfit below this share of it is named
 
 
-def check_plausible(session: Session) -> None:
-    """Raises ImplausibleSession where a session can't be what it says; all reasons in its message."""
+def check_plausible(session: Session) -> Session:
+    """A session that can be what it says, with a note on stations and markers that are not where they are stated.
+
+    Raises:
+        ImplausibleSession: it can't be; all reasons in its message.
+    """
     found = doubts(session)
     if found:
         where = session.path or session.name
         raise ImplausibleSession(f"{where}: " + "; ".join(found), found)
+    elsewhere = _placed_elsewhere(_Placing.of(session)) if session.kind == "loaded" else ""
+    return replace(session, notes=(*session.notes, elsewhere)) if elsewhere else session
 
 
 def doubts(session: Session) -> tuple[str, ...]:
@@ -131,26 +139,50 @@ def _mended(misfit: float, others: dict[str, float]) -> str:
     return f"; it would fit with {best}" if others[best] < BEST_OF_OTHERS * misfit else ""
 
 
+@dataclass(frozen=True)
+class _Placing:
+    """Seen rows of a loaded session, whose stations and markers are known, beside what the controller has.
+
+    believed: markers in base_link, (n, 3), m; back: ways in which base_link may ride on prismatic axes, whether the stations
+    do or not, (n, 3) each, m.
+    """
+
+    rows: Session
+    believed: Array
+    back: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, session: Session) -> _Placing:
+        rows = session.select(np.flatnonzero(session.marker_seen))
+        along = np.zeros_like(rows.p_marker_in_station)
+        for axis in rows.ext_axes:
+            if axis.kind == "prismatic" and axis.name in rows.ext:
+                along += np.nan_to_num(rows.ext[axis.name][:, None]) * np.array(axis.axis)
+        return cls(rows, marker_as_believed(rows), (0.0 * along, along, -along))
+
+    def poses(self) -> tuple[Array, Array]:
+        """Rotation (n, 3, 3) and position (n, 3), m, of the station of each row in base_link."""
+        s = self.rows.stations
+        return np.stack([k.R_in_base for k in s])[self.rows.station], np.array([k.xyz for k in s])[self.rows.station]
+
+    def off(self, v: Array, R: Array, t: Array) -> float:
+        """Median distance of readings v, (n, 3), m, from what the controller has, stations at R, t."""
+        difference = np.einsum("nij,nj->ni", R, v) + t - self.believed
+        return min(_median_norm(difference - back) for back in self.back)
+
+
 def _markers(session: Session) -> list[str]:
     """Marker columns of a loaded session, whose stations and markers are known, against the controller's."""
-    seen = session.marker_seen
-    if not seen.any():
+    if not session.marker_seen.any():
         return []
-    believed = marker_as_believed(session)[seen]
-    p = session.p_marker_in_station[seen]
-    along = np.zeros_like(p)  # base_link rides on prismatic axes, whether the stations do or not
-    for axis in session.ext_axes:
-        if axis.kind == "prismatic" and axis.name in session.ext:
-            along += np.nan_to_num(session.ext[axis.name][seen, None]) * np.array(axis.axis)
-    R = np.stack([s.R_in_base for s in session.stations])[session.station[seen]]
-    t = np.array([s.xyz for s in session.stations])[session.station[seen]]
+    placing = _Placing.of(session)
+    p, (R, t) = placing.rows.p_marker_in_station, placing.poses()
 
     def off(v: Array, R: Array = R, t: Array = t) -> float:
-        difference = np.einsum("nij,nj->ni", R, v) + t - believed
-        return min(_median_norm(difference - sign * along) for sign in (0.0, 1.0, -1.0))
+        return placing.off(v, R, t)
 
     misfit = off(p)
-    if misfit <= MARKER_M:
+    if misfit <= MARKER_M or (misfit <= PLACED_M and _placed_elsewhere(placing)):
         return []
     others = {
         "marker_* in mm": off(p * 1e-3), "a station's pose the other way round": off(p, np.swapaxes(R, 1, 2), t),
@@ -167,13 +199,38 @@ def _markers(session: Session) -> list[str]:
     ]
 
 
+def _placed_elsewhere(placing: _Placing) -> str:
+    """Where stations and markers are, if that is a little elsewhere than stated and all readings fit then; else empty.
+
+    Such a session can be what it says, and what it costs is for the diagnosis.
+    """
+    rows, (R, t) = placing.rows, placing.poses()
+    if not len(rows) or (off := placing.off(rows.p_marker_in_station, R, t)) <= MARKER_M:
+        return ""
+    for back in placing.back:
+        p = rows.p_marker_in_station - np.einsum("nji,nj->ni", R, back)
+        free = replace(
+            rows, kind="absolute", p_marker_in_station=p, stations=tuple(replace(s, known=False) for s in rows.stations),
+            markers=tuple(replace(m, known=False) for m in rows.markers),
+        )  # fmt: skip
+        misfit, spread, placed = _misfit(free, free.q)
+        turned = max(_angle(a.R_in_base.T @ b.R_in_base) for a, b in zip(rows.stations, placed.stations, strict=True))
+        moved = max(float(np.linalg.norm(np.subtract(a.xyz, b.xyz))) for a, b in zip(rows.markers, placed.markers, strict=True))
+        if misfit <= MISFIT * spread and turned <= TURNED and moved <= PLACED_M:
+            return (
+                f"marker_* is {off:.3g} m (median) from where the controller has it; it fits with stations turned by {turned:.3g}"
+                f" rad and markers {moved:.3g} m from where they are stated: measure both anew"
+            )
+    return ""
+
+
 def _registration(session: Session) -> list[str]:
     """An absolute session against the robot description, stations and markers placed as well as can be."""
     rows = np.flatnonzero(session.marker_seen)
     if len(rows) < 12:
         return []
     some = session.select(rows[_some(len(rows))])
-    misfit, spread = _misfit(some, some.q)
+    misfit, spread, _ = _misfit(some, some.q)
     if misfit <= MISFIT * spread:
         return []
     few = some.select(_some(len(some), FEW))
@@ -186,12 +243,12 @@ def _registration(session: Session) -> list[str]:
     ]
 
 
-def _misfit(session: Session, q: Array, factor: float = 1.0) -> tuple[float, float]:
-    """Median distance of the points from the robot description after registration, and their spread, m."""
+def _misfit(session: Session, q: Array, factor: float = 1.0) -> tuple[float, float, Session]:
+    """Median distance of the points from the robot description after registration, their spread, m; and the session so placed."""
     try:
         kin = session.robot.kinematics(q)
     except RobotError:
-        return np.inf, 1.0
+        return np.inf, 1.0, session
     p = session.p_marker_in_station * factor
     placed = replace(session, q=q, p_tcp_in_base=kin.p_tcp, p_marker_in_station=p)
     found = registered(placed, kin)
@@ -199,7 +256,11 @@ def _misfit(session: Session, q: Array, factor: float = 1.0) -> tuple[float, flo
     t = np.array([s.xyz for s in found.stations])[found.station]
     off = np.einsum("nij,nj->ni", R, p) + t - marker_as_believed(found)
     spread = float(np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)))
-    return _median_norm(off), max(spread, 1e-9)
+    return _median_norm(off), max(spread, 1e-9), found
+
+
+def _angle(R: Array) -> float:
+    return float(np.arccos(np.clip((np.trace(R) - 1.0) / 2.0, -1.0, 1.0)))
 
 
 def _some(n: int, most: int = 400) -> IntArray:

@@ -14,6 +14,7 @@ from irec_calibration.errors import ImplausibleSession
 from irec_calibration.robot import Payload
 from irec_calibration.session import Noise, Session, write_table
 from irec_calibration.session.plausible import check_plausible, doubts
+from scipy.spatial.transform import Rotation
 
 LOADED = synthetic.session(seed=1)
 ABSOLUTE = absolute_sessions.session(noise=Noise(tracker_m=1e-5), poses=60)
@@ -138,6 +139,34 @@ def test_a_robot_that_settles_by_more_than_it_gives_way_is_no_doubt():
 
     session = synthetic.session(extra=settling)
     assert doubts(session) == ()
+
+
+def placed(turn: float, aside: float) -> Session:
+    """A session as it would be with its station turned by turn, rad, about base_link, its reflector aside, m, on the tool."""
+    R, R_tool = Rotation.from_rotvec([turn, 0.0, 0.0]), LOADED.robot.kinematics(LOADED.q).R_tool
+    s = LOADED.stations[0]
+    believed = LOADED.p_marker_in_station @ s.R_in_base.T + np.array(s.xyz) + aside * R_tool[:, :, 0]
+    return replace(LOADED, p_marker_in_station=(R.apply(believed) - np.array(s.xyz)) @ s.R_in_base)
+
+
+def test_stations_and_reflectors_a_little_elsewhere_than_stated_are_told_and_left_to_the_diagnosis():
+    session = placed(0.06, 0.3)
+    (note,) = check_plausible(session).notes
+    assert "stations turned by 0.06 rad and markers 0.3 m from where they are stated" in note
+    assert check_plausible(placed(0.01, 0.02)).notes == LOADED.notes, "such are usual"
+
+
+@pytest.mark.parametrize(("turn", "aside"), [(0.2, 0.3), (0.06, 1.2)])
+def test_stations_and_reflectors_far_from_where_they_are_stated_are_refused(turn, aside):
+    with pytest.raises(ImplausibleSession, match="from where the controller has it"):
+        check_plausible(placed(turn, aside))
+
+
+def test_readings_beside_the_controllers_that_no_place_of_the_station_mends_are_refused():
+    p = LOADED.p_marker_in_station
+    scattered = p + 0.4 * np.random.default_rng(2).choice([-1.0, 1.0], p.shape) / np.sqrt(3.0)
+    with pytest.raises(ImplausibleSession, match="from where the controller has it"):
+        check_plausible(replace(LOADED, p_marker_in_station=scattered))
 
 
 @pytest.mark.parametrize("command", ["solve", "diagnose"])
