@@ -222,6 +222,14 @@ def plain(study: Study) -> Iterator[Direction]:
         change = scene.force_in_tool - last
         lag = scene.response.compliance[:, :, :3] * np.abs(change)[:, None, :]
         yield Direction("as if the change of the force were read wrongly", ("load_case",), _scaled(lag, rows))
+    if scene.kind == "loaded" and scene.measured_from_station is not None:
+        seen = scene.noise_free_from_station()
+        sight = seen / np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-9)
+        moved = seen - seen[scene.reference]
+        along = np.einsum("ni,nj,nj->ni", sight, sight, moved)
+        for words, part in (("along", along), ("across", moved - along)):
+            part = _scaled(part[:, :, None], rows)
+            yield Direction(f"as if displacement {words} the line of sight were read wrongly", ("load_case",), part)
 
 
 def drifts(study: Study) -> Iterator[Direction]:

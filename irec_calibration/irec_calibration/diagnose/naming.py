@@ -52,7 +52,11 @@ def refused(start: Explanation, current: Explanation, one: Explanation, family: 
 
 
 def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings) -> float:
-    """Evidence of a name: of a model with it, over one without it and any nonparametric structure in its place.
+    """What is to be held against `needed`: the evidence of a name over a model without it, or over any nonparametric structure in
+    its place, whichever falls shorter of what is asked of it.
+
+    That the effect is there is asked first. Structures, the best of hundreds, need only be told apart from it: over them a name
+    may be as weak as `nats_over_structure`, however many readings stand out.
 
     An effect that every robot has needs evidence of its own; against structures it may be as weak as what is not told apart.
 
@@ -88,7 +92,10 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
         odds = min(odds - settings.nats_to_name, own + more - instead + may_be_as_weak)
     if in_one_pose(one, effect_id):  # differences don't tell it from a bad pose, the readings of later poses may
         odds += lasts(one.study, one.term(effect_id))
-    return odds - settings.share_of_form * max(in_place - left, 0.0)
+    odds -= settings.share_of_form * max(in_place - left, 0.0)
+    if in_one_pose(one, effect_id):
+        return odds
+    return max(odds, min(odds + needed(one, effect_id, settings) - settings.nats_over_structure, own))
 
 
 def pruned(start: Explanation, one: Explanation, family: Family, settings: Settings) -> Explanation:

@@ -81,8 +81,12 @@ class Settings(Thresholds):
         "the level is known within a factor of two at two standard deviations: 1 / sqrt(2 dof) = 0.35",
     )  # fmt: skip
     nats_to_name: float = threshold(
-        6.5, "nats", "evidence that a name needs over every model without it, nonparametric structures included",
+        6.5, "nats", "evidence that a name needs over every model without it",
         "odds of 600, so that 25 effects give a wrong name in less than 5 % of clean sessions",
+    )  # fmt: skip
+    nats_over_structure: float = threshold(
+        4.0, "nats", "evidence that a name needs over nonparametric structures in its place",
+        "odds of 50, against the best of some 500 whose number is taken off; that something is there is asked before",
     )  # fmt: skip
     nats_in_one_pose: float = threshold(
         20.0, "nats", "evidence that a name needs which shows in the differences of one pose of a loaded session only",

@@ -29,7 +29,7 @@ class MarkerOffset(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         if not all(scene.instruments.marker_known):  # an unknown marker is free already: marker_position
             return ()
-        return tuple(Parameter(f"d_{a}", "m", 0.01, -0.5, 0.5, plausible=(-0.3, 0.3)) for a in AXES)
+        return tuple(Parameter(f"d_{a}", "m", 0.01, -1.5, 1.5, plausible=(-1.0, 1.0)) for a in AXES)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         arms = scene.kin.R_tool * scene.moves_with_arm[:, None, None]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When readings that stand out follow one effect of impossible size."""
+"""When an effect is named: by its evidence, beside structure, readings that stand out and held-out poses."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from irec_calibration.diagnose import naming
+from irec_calibration.diagnose.forms import NO_FORMS
 from irec_calibration.diagnose.settings import SETTINGS
 
 
@@ -62,3 +63,40 @@ def test_evidence_makes_up_for_held_out_poses_that_show_little(monkeypatch: pyte
 @pytest.mark.parametrize("better_by", [0.0, -1.0, float("nan")])
 def test_no_evidence_makes_up_for_held_out_poses_that_get_no_better(monkeypatch: pytest.MonkeyPatch, better_by: float) -> None:
     assert answer(monkeypatch, 1e6, better_by) == "it does not help on held-out poses"
+
+
+def held(monkeypatch: pytest.MonkeyPatch, own: float, in_place: float, left: float = 0.0, rows: int = 0) -> float:
+    """What is held against `needed` for a name of own evidence, where structures in its place and left beside it have some."""
+    term = SimpleNamespace(effect=SimpleNamespace(family=None))
+    one: Any = SimpleNamespace(
+        named=own, ids=("joint_backlash",), study=SimpleNamespace(ready=None), term=lambda _: term,
+        remainder=SimpleNamespace(gained=left, parts=(), bad_rows=(None,) * rows),
+    )  # fmt: skip
+    bare: Any = SimpleNamespace(named=0.0, study=None, remainder=SimpleNamespace(gained=in_place))
+    monkeypatch.setattr(naming, "forms_of", lambda *_: NO_FORMS)
+    monkeypatch.setattr(naming, "remainder_of", lambda *_: SimpleNamespace(gained=in_place))
+    monkeypatch.setattr(naming, "everywhere", lambda *_: False)
+    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
+    family: Any = None
+    return naming.odds_of(one, bare, "joint_backlash", family, SETTINGS) - naming.needed(one, "joint_backlash", SETTINGS)
+
+
+@pytest.mark.parametrize("rows", [0, 5])
+def test_structure_in_its_place_has_to_be_told_apart_from_a_name_that_is_there_for_certain(
+    monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
+    over = SETTINGS.nats_over_structure / (1.0 - SETTINGS.share_of_form)
+    assert held(monkeypatch, own=50.0, in_place=50.0 - 1.1 * over - 50.0 * SETTINGS.share_of_form, rows=rows) > 0.0
+    assert held(monkeypatch, own=50.0, in_place=50.0 - 0.9 * SETTINGS.nats_over_structure, rows=rows) < 0.0
+
+
+@pytest.mark.parametrize("rows", [0, 5])
+def test_a_name_that_is_hardly_there_needs_all_its_evidence_without_any_structure(
+    monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
+    least = SETTINGS.nats_to_name + rows * SETTINGS.nats_per_bad_row
+    assert (
+        held(monkeypatch, own=least - 0.1, in_place=0.0, rows=rows)
+        < 0.0
+        < held(monkeypatch, own=least + 0.1, in_place=0.0, rows=rows)
+    )
