@@ -44,7 +44,8 @@ def attempt(study: Study, effect: Effect) -> Attempt:
     Raises:
         EffectError: the effect can't be seen in this session.
     """
-    study = study.to_weigh
+    if not effect.completes:
+        study = study.to_weigh
     why = study.why_not(effect)
     trial = None if why else try_effect(study, effect)
     if trial is None:

@@ -105,7 +105,7 @@ def options(
     skipped: dict[str, str] = {}
     for effect in known_effects().values() if effects is None else effects:
         check()
-        if effect.id in present or effect.completes:
+        if effect.id in present or (effects is None and effect.completes):
             continue
         why = study.why_not(effect)
         try:

@@ -180,7 +180,7 @@ def add_effect(model: Model, effect: Effect, session: Session) -> tuple[Model, S
     if effect.id in model.effects:
         raise ModelError(f"the model has the effect '{effect.id}' already; its effects are {', '.join(model.effects)}")
     before = validated(session, model.terms)
-    old = before.study.to_weigh
+    old = before.study if effect.completes else before.study.to_weigh
     why = old.why_not(effect)
     if effect.evidence is Evidence.REFERENCE_READINGS and not why:
         return _with_weight(model, effect, before)

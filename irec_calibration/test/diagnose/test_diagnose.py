@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import Diagnosis, add_effect, diagnose, improve, remove_effect, start_terms
+from irec_calibration.diagnose.attempt import attempt
 from irec_calibration.diagnose.evidence import Block
 from irec_calibration.diagnose.held_out import held_out
 from irec_calibration.diagnose.settings import SETTINGS
@@ -356,6 +357,20 @@ def test_the_place_of_bending_that_a_missing_effect_hid_is_found_beside_it() -> 
     assert found.rungs[2].parts == found.rungs[1].parts
     assert found.before.cv_rms_after_m == found.rungs[2].cv_rms_m
     assert "Beside that the springs' place of bending matters" in found.before.verdict.text
+
+
+def test_the_place_of_bending_is_added_and_tried_like_any_effect() -> None:
+    place = find_effect("bending_place")
+
+    def hidden(scene: Scene) -> Array:
+        return place.displacement(scene, np.array([6.0 * p.scale * (-1) ** i for i, p in enumerate(place.parameters(scene))]))
+
+    bent = synthetic.session(poses=20, seed=5, extra=hidden)
+    new, before, after = add_effect(model(), place, bent)
+    assert new.effects == (*EIGHTEEN_DOF, "bending_place")
+    assert held_out(after).rms_m < 0.8 * held_out(before).rms_m
+    tried = attempt(before, place)
+    assert tried.after.rms_m < 0.8 * tried.before.rms_m
 
 
 def test_a_model_with_a_part_of_an_effect_survives_its_file_and_a_refit(tmp_path) -> None:
