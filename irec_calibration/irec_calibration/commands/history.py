@@ -13,6 +13,7 @@ from ..errors import IrecError
 from ..model.file import load_model
 from ..recertification.store import Store, calibration_folder
 from ..recertification.trend import trend
+from ..recertification.verdict import Kind, kind_of
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -46,10 +47,12 @@ def _of_cell(args: argparse.Namespace) -> int:
         return 0
     print(f"{cell.serial}, {store.folder}")
     for e in entries:
-        print(f"{e.at[:16]}  {e.event.replace('_', ' '):13} {e.calibration or '-':5} by {e.by or '?'}: {e.verdict or '-'}")
+        event = e.event.replace("_", " ")
+        verdict = f": {e.verdict}" if e.verdict and e.verdict != event else ""
+        print(f"{e.at[:16]}  {event:13} {e.calibration or '-':5} by {e.by or '?'}{verdict}")
     print("\ncalibration  date        mean deflection at rated load  error on poses not used")
     for p in points:
-        mark = "  in force" if p.in_force else ""
+        mark = "  in force" if p.in_force else f"  {p.verdict}" if kind_of(p.verdict) is Kind.INVESTIGATE else ""
         error = f"{1e6 * p.held_out_rms_m:6.1f} um" if p.held_out_rms_m == p.held_out_rms_m else "unknown"
         if p.event == "checked":
             axes = ", ".join(f"axis {k + 1} less than {100 * s:.0f} % softer" for k, s in sorted(p.softer_below.items()))

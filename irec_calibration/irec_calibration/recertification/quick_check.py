@@ -274,7 +274,8 @@ def _decide(
         text = f"The robot is as it was when it was calibrated ({so_far}). Nothing has to be done."
         return QuickResult("pass", e_value, ratio, size, (), poses, text, named, words, visits)
     left = [c.text(k) for c, k in zip(looked_for, least.tolist(), strict=True) if c.name not in excluded]
-    text = f"After {so_far} it is not decided yet whether there is: {', '.join(left[:4]) or 'any change'}."
+    more = f" and {len(left) - 3} more" if len(left) > 3 else ""
+    text = f"After {so_far} not excluded yet: {', '.join(left[:3]) or 'any change'}{more}."
     return QuickResult("undecided", e_value, ratio, size, (), poses, text, named, words, visits)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from ..errors import IrecError
 from ..recertification.trend import TrendPoint
+from ..recertification.verdict import Kind, kind_of
 from .style import pyplot
 
 FOOTER = (
@@ -27,7 +28,7 @@ body { font: 10.5pt/1.35 system-ui, sans-serif; color: #20242a; max-width: 182mm
 h1 { font-size: 16pt; margin: 0 } h2 { font-size: 11.5pt; margin: 9pt 0 3pt }
 .quiet { color: #5a6270; margin: .1rem 0 .6rem } table { border-collapse: collapse; width: 100% } img { width: 100% }
 td, th { padding: 2pt 6pt; border-bottom: .5pt solid #cdd3db; text-align: left; vertical-align: top }
-th { width: 34%; font-weight: 500 }
+th { width: 34%; font-weight: 500 } td { white-space: pre-line }
 .verdict { border-left: 5pt solid {{ colour }}; background: #f4f6f8; padding: 6pt 9pt; margin: 6pt 0 }
 .sign { display: flex; gap: 10mm; margin-top: 12mm }
 .sign div { flex: 1; border-top: .6pt solid #20242a; padding-top: 2pt; font-size: 9pt }
@@ -48,7 +49,7 @@ COLOURS = {"pass": "#0072b2", "recalibrated": "#0072b2", "investigate": "#e69f00
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is written on it. rows: (name, value) in the order of the page."""
+    """What is written on it. rows: (name, value) in the order of the page; a value may have several lines."""
 
     title: str
     subtitle: str
@@ -97,15 +98,21 @@ def draw_trend(axes: Any, points: Sequence[TrendPoint]) -> None:
     """Draw deflection (left) and axis compliances (right) of the calibrations into two matplotlib axes.
 
     A check that was passed has found nothing anew: a hollow mark where its calibration is, and a bar up to where the axis would
-    have been found softer.
+    have been found softer. A calibration that somebody has to look at stands beside the lines, as a cross: its model lacks what
+    has happened, and puts it on axes that may be sound.
     """
     when = range(len(points))
     checks = {i for i, p in enumerate(points) if p.event == "checked"}
+    doubtful = {i for i, p in enumerate(points) if kind_of(p.verdict) is Kind.INVESTIGATE}
     names = [f"{'check' if i in checks else p.calibration}\n{p.at[:10]}" for i, p in enumerate(points)]
     left, right = axes
-    left.plot(when, [1e3 * p.deflection_m for p in points], "-", color="#0072b2")
+    sound = [i for i in when if i not in doubtful]
+    left.plot(sound, [1e3 * points[i].deflection_m for i in sound], "-", color="#0072b2")
     for i, p in enumerate(points):
-        left.plot([i], [1e3 * p.deflection_m], "o", color="#0072b2", mfc="white" if i in checks else "#0072b2")
+        mark = "X" if i in doubtful else "o"
+        left.plot([i], [1e3 * p.deflection_m], mark, color="#0072b2", mfc="white" if i in checks else "#0072b2")
+    if doubtful:
+        left.plot([], [], "X", color="#0072b2", label="to be looked at")
     if checks:
         left.plot([], [], "o", color="#0072b2", mfc="white", label="confirmed by a check")
     for i, p in enumerate(points):
@@ -118,12 +125,13 @@ def draw_trend(axes: Any, points: Sequence[TrendPoint]) -> None:
         at = [(i, p.compliance[axis].value, p.compliance[axis].se) for i, p in enumerate(points) if axis in p.compliance]
         x, y, se = zip(*at, strict=True)
         shift = 0.03 * (k - 2)
-        (line,) = right.plot([v + shift for v in x], [1e6 * v for v in y], "-", label=f"axis {axis + 1}")
+        kept = [j for j, i in enumerate(x) if i not in doubtful]
+        (line,) = right.plot([x[j] + shift for j in kept], [1e6 * y[j] for j in kept], "-", label=f"axis {axis + 1}")
         for i, value, error in zip(x, y, se, strict=True):
             softer = points[i].softer_below.get(axis, 0.0)
             bars = [[0.0], [1e6 * softer * value]] if i in checks else [[2e6 * error], [2e6 * error]]
-            style = {"ms": 3, "capsize": 2, "color": line.get_color(), "mfc": "white" if i in checks else line.get_color()}
-            right.errorbar([i + shift], [1e6 * value], bars, fmt="o", **style)
+            style = {"ms": 4 if i in doubtful else 3, "capsize": 2, "color": line.get_color(), "mfc": "white" if i in checks else line.get_color()}
+            right.errorbar([i + shift], [1e6 * value], bars, fmt="X" if i in doubtful else "o", **style)
     of_checks = ";\nof a check: less than" if checks else ""
     right.set_ylabel(f"compliance, urad/(N m)\n(bars: 2 std. errors{of_checks})")
     right.margins(y=0.15)
@@ -154,7 +162,7 @@ def _pdf(c: Certificate) -> bytes:
 
     write(c.title, 16, 0.028, weight="bold")
     write(c.subtitle, 9, 0.030, color="#5a6270")
-    lines = textwrap.wrap(c.text, 100)
+    lines = textwrap.wrap(c.text, 106)
     height = 0.030 + 0.0165 * len(lines)
     figure.patches.append(plt.Rectangle((left, y - height), 0.84, height, transform=figure.transFigure, fc="#f4f6f8", ec="none"))
     figure.patches.append(
@@ -167,7 +175,7 @@ def _pdf(c: Certificate) -> bytes:
     y -= 0.02
     write("What was done and found", 11, 0.024, weight="bold")
     for name, value in c.rows:
-        wrapped = textwrap.wrap(value, 74) or [""]
+        wrapped = [part for line in value.split("\n") for part in textwrap.wrap(line, 82)] or [""]
         figure.text(left, y, name, fontsize=8.5, va="top", color="#5a6270")
         for line in wrapped:
             write(line, 8.5, 0.0155, left + 0.27)

@@ -4,18 +4,22 @@
 from __future__ import annotations
 
 import datetime
+import re
 from collections.abc import Sequence
 
 import numpy as np
 
+from ..effects import known_effects
 from ..recertification.flow import Outcome
 from ..recertification.quick_check import odds_text
 from ..recertification.readings import MANNED
 from ..recertification.request import Place
 from ..recertification.store import Store
 from ..recertification.trend import TrendPoint, trend
+from ..recertification.verdict import Kind, kind_of
 from .certificate import Certificate
 
+DIRECTED = re.compile(r"(?P<what>\D+)(?P<size>[\d.]+)(?P<unit> .* (?:along|about) )(?P<way>[xyz])")
 MEASURED = ("force sensor", "tracker", "temperature")
 
 
@@ -54,13 +58,16 @@ def _before_rows(outcome: Outcome) -> list[tuple[str, str]]:
     others = ", ".join(p.name for p in outcome.preconditions if p.name not in MEASURED and p.name not in MANNED)
     people = ", ".join(p.name for p in outcome.preconditions if p.name in MANNED)
     return [
-        ("Looked at before anything moved", f"{others}: all as they have to be. {'. '.join(measured)}"),
+        ("Looked at before anything moved", "\n".join([f"{others}: all as they have to be", *measured])),
         ("Looked at by the operator", people),
     ]
 
 
 def _title(outcome: Outcome) -> str:
+    """The verdict with effects by what they are called, not by their ids."""
     verdict, _, what = outcome.verdict.partition(": ")
+    for effect in known_effects().values():
+        what = re.sub(rf"\b{re.escape(effect.id)}\b", effect.label, what)
     return {"pass": "PASS", "recalibrated": "RECALIBRATED"}.get(verdict, f"{verdict.upper()}: {what}")
 
 
@@ -75,10 +82,10 @@ def _quick_rows(outcome: Outcome) -> list[tuple[str, str]]:
     if q.like:
         rows.append(("It looks like", " or ".join(q.words[n] for n in q.like[:3])))
     if q.decision == "pass":
-        seen = "; ".join(_grouped(p.seen)) or "nothing"
-        rows.append(("Would have been found", f"{seen} (each missed with a probability of 5 % at the most)"))
+        seen = "\n".join(_grouped(p.seen)) or "nothing"
+        rows.append(("Would have been found", f"{seen}\n(each missed with a probability of 5 % at the most)"))
         if p.never:
-            rows.append(("No load case of this cell shows", "; ".join(p.never)))
+            rows.append(("Can't be seen at these poses", f"{'; '.join(p.never)}: under these loads it does not move the tool there"))
     return rows
 
 
@@ -96,15 +103,24 @@ def _confirmed_rows(outcome: Outcome, points: Sequence[TrendPoint]) -> list[tupl
 
 
 def _grouped(changes: Sequence[str]) -> list[str]:
-    """`axis 1: 10 % softer`, `axis 2: 10 % softer` as `axis 1, 2: 10 % softer`; the rest as it is."""
+    """`axis 1: 10 % softer`, `axis 2: 10 % softer` as `axis 1, 2: 10 % softer`, and what differs by size and direction only as
+    `base: gives way 10, 14 um/kN more along x, y`; the rest as it is."""
     groups: dict[str, list[str]] = {}
     for change in changes:
         part, _, what = change.partition(": ")
         groups.setdefault(what, []).append(part)
-    out = []
+    out: list[str] = []
+    along: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for what, parts in groups.items():
         names = [parts[0], *(p.removeprefix("axis ") for p in parts[1:])]
-        out.append(f"{', '.join(names)}: {what}")
+        text = f"{', '.join(names)}: {what}"
+        if directed := DIRECTED.fullmatch(text):
+            along.setdefault((directed["what"], directed["unit"]), []).append((directed["size"], directed["way"]))
+        else:
+            out.append(text)
+    for (what, unit), found in along.items():
+        sizes = list(dict.fromkeys(size for size, _ in found))
+        out.append(f"{what}{', '.join(sizes if len(sizes) == 1 else [s for s, _ in found])}{unit}{', '.join(w for _, w in found)}")
     return out
 
 
@@ -117,17 +133,22 @@ def _full_rows(outcome: Outcome, tolerance: float) -> list[tuple[str, str]]:
         ("Full procedure", f"{j.model.figures.get('poses', '?')} poses; {len(j.held_out)} of them were kept apart to judge"),
         ("Error of the former calibration", _error(j.rms_old, tolerance)),
         ("Error of the new calibration", f"{_error(j.rms_new, tolerance)}, on the poses kept apart"),
-        ("What is asked of it", "; ".join(f"{c.text}: {'met' if c.holds else 'NOT met'}" for c in j.criteria)),
+        ("What is asked of it", "\n".join(f"{c.text}: {'met' if c.holds else 'NOT met'}" for c in j.criteria)),
         ("What it describes", ", ".join(f"{t.effect.label} ({t.effect.id})" for t in j.model.terms)),
     ]
-    known = [f"axis {k + 1}: {um * e.value:.2f} +- {2 * um * e.se:.2f}" for k, e in j.axes.items()]
+    known = [f"axis {k + 1}: {um * e.value:.2f} ± {2 * um * e.se:.2f}" for k, e in j.axes.items()]
     if known:
-        rows.append(("How far single axes give way", f"{'; '.join(known)} urad for each N m (+- 2 standard errors)"))
+        without = "\nof a model without what is to be looked at: no sign of the axes" if _to_be_looked_at(outcome) else ""
+        rows.append(("How far single axes give way", f"{'; '.join(known)} urad for each N m (± 2 standard errors){without}"))
     if j.missing.status == "missing_effect":
         rows.append(("Diagnosis, for an engineer", j.missing.text))
     if outcome.calibration:
         rows.append(("Stored as", outcome.calibration + (", now in force" if outcome.activated else ", not in force")))
     return rows
+
+
+def _to_be_looked_at(outcome: Outcome) -> bool:
+    return kind_of(outcome.verdict) is Kind.INVESTIGATE
 
 
 def _error(rms: float, tolerance: float) -> str:

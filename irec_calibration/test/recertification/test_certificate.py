@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,9 +19,12 @@ from irec_calibration.recertification.quick_check import odds_text
 from irec_calibration.recertification.request import Request
 from irec_calibration.recertification.store import Store
 from irec_calibration.recertification.trend import trend
-from irec_calibration.report.certificate import write_certificate
-from irec_calibration.report.recertification import certificate_of
+from irec_calibration.report.certificate import draw_trend, write_certificate
+from irec_calibration.report.recertification import _grouped, certificate_of
+from irec_calibration.report.style import pyplot
 from recertification_cell import FakeCell, place, pose_file
+
+plt = pyplot()
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +62,8 @@ def test_the_certificate_of_a_passed_check_says_what_would_have_been_found(done:
     rows = dict(certificate_of(outcome, place(), done[1], "M").rows)
     assert "10 % softer" in rows["Would have been found"] and "5 %" in rows["Would have been found"]
     assert "axis 1, 2" in rows["Would have been found"], "axes of one size stand together"
-    assert "play" in rows["No load case of this cell shows"]
+    assert "play" in rows["Can't be seen at these poses"]
+    assert len(rows["Would have been found"].splitlines()) > 2, "one line for each kind of change"
 
 
 def test_a_passed_check_stands_in_the_trend_as_what_it_confirms_and_not_as_a_calibration(
@@ -111,6 +116,28 @@ def test_the_history_of_a_cell_lists_every_event(
 def test_a_history_of_nothing_is_refused_in_one_line() -> None:
     with pytest.raises(IrecError, match="name a cell file or a model"):
         history.run(argparse.Namespace(what="/nowhere", folder="x", output=None, json=False))
+
+
+def test_changes_that_differ_by_size_and_direction_only_stand_in_one_line() -> None:
+    said = ["axis 1: 10 % softer", "axis 4: 10 % softer", "base: gives way 10 um/kN more along x"]
+    said += ["base: gives way 9 um/kN more along z", "base: tilts 0.03 mrad/(kN m) more about x"]
+    assert _grouped([*said, "base: tilts 0.03 mrad/(kN m) more about y"]) == [
+        "axis 1, 4: 10 % softer", "base: gives way 10, 9 um/kN more along x, z", "base: tilts 0.03 mrad/(kN m) more about x, y",
+    ]  # fmt: skip
+
+
+def test_a_calibration_that_somebody_has_to_look_at_stands_beside_the_lines_of_the_trend(done: tuple[Outcome, Store]) -> None:
+    outcome, store = done
+    sound = trend(store)[0]
+    axes = plt.subplots(1, 2)[1]
+    draw_trend(axes, [sound, replace(sound, verdict="investigate: base_compliance"), sound])
+    lines = [line for ax in axes for line in ax.lines if line.get_linestyle() == "-" and len(line.get_xdata()) > 1]
+    crosses = [line for line in axes[0].lines if line.get_marker() == "X" and len(line.get_xdata())]
+    plt.close()
+    assert lines and all(len(line.get_xdata()) == 2 for line in lines)
+    assert [list(line.get_xdata()) for line in crosses] == [[1]]
+    title = certificate_of(replace(outcome, verdict="investigate: joint_backlash, axis 3"), place(), store, "M").verdict
+    assert title == "INVESTIGATE: joint backlash, axis 3"
 
 
 @pytest.mark.parametrize(("of_change", "words"), [
