@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 from demo import ROOT, guarded
 from irec_calibration.cell import read_cell
-from irec_calibration.poses.plan import make_plan, pose_list
+from irec_calibration.poses.plan import make_plan, pose_list, turn_for
 from irec_calibration.poses.store import write_poses
 from irec_calibration.recertification.preconditions import FAILS, HOLDS, told_lines
 from irec_calibration.recertification.run_state import interrupted
@@ -100,7 +100,7 @@ def _run(args: argparse.Namespace) -> bool:
         progress.stage("plan", f"planning {FIRST_POSES} and {N_POSES} engagement poses")
         cell = read_cell(args.cell)
         for path, n in ((_poses(out, YEARS[0]), FIRST_POSES), (_poses(out, YEARS[1]), N_POSES)):
-            write_poses(pose_list(cell, make_plan(cell, n, pool_size=POOL, seed=SEED)), path)
+            write_poses(pose_list(cell, make_plan(cell, n, pool_size=POOL, seed=SEED, turn=turn_for(n))), path)
     with Processes(out / "log", {}) as office, contextlib.ExitStack() as at_end:
         folder = str(out / "calibrations")
         office.start(

@@ -20,7 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from irec_calibration.cell import read_cell as planned_cell
 from irec_calibration.identification.identify import default_terms, identify
+from irec_calibration.poses.plan import make_plan
 from irec_calibration.recertification.quick_check import (
     FALSE_ALARM,
     MOST_VISITS,
@@ -35,14 +37,15 @@ from irec_calibration.session import Session, read_session
 from irec_calibration.typing import Array
 from irec_sim.cellfile import CellFile, read_cell
 from irec_sim.observe import simulate
-from irec_sim.poses import Poses, spread_poses
+from irec_sim.poses import Poses
 from irec_sim.recorded import Pass
 from irec_sim.session import Conduct, Generated, make_schedule, write_session
 from irec_sim.truth import EFFECTS, Hidden, Truth, make_truth
 from scipy.spatial.transform import Rotation
 from scipy.stats import beta, norm
 
-POSES, TOLERANCE = 31, 3e-4
+POSES, POOL, TOLERANCE = 31, 1500, 3e-4
+AFP = Path(__file__).parents[2] / "config" / "cells" / "afp.yaml"
 MANY = 1000.0  # repeats of each visit
 UNCHANGED = "nothing has changed"
 LOOSE = {"per_translation": [1.6e-9, 1.6e-9, 2.2e-9], "per_rotation": [4e-8, 4e-8, 4e-8]}
@@ -57,6 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--noise", type=float, default=1.0, help="true noise as a multiple of the stated one (default: 1)")
     across = "forces across the tool in the check, times those of the calibration (default: 1.25, what the cell bears)"
     parser.add_argument("--lateral", type=float, default=1.25, help=across)
+    turn = "poses in which the load turns the torque of each axis that it can turn, as `irec plan --turn` (default: 2)"
+    parser.add_argument("--turn", type=int, default=2, help=turn)
     parser.add_argument("--bounds", action="store_true", help="check no robot: only what the best test finds of each change")
     args = parser.parse_args(arguments)
     counts: dict[str, Counter[str]] = {}
@@ -76,7 +81,7 @@ def _count(
 ) -> None:
     """One robot: calibrated, then checked unchanged and with each change."""
     truth = make_truth("afp", [], seed)
-    where = spread_poses(read_cell("afp"), POSES, np.random.default_rng(seed))
+    where = _planned(seed, args.turn)
     base = with_stations_found(_measured(truth, where, 1000 + seed, args.noise, args.repeats))
     reference = reference_of(identify(base, default_terms(base)).terms, base, TOLERANCE)
     chosen = plan(reference, args.lateral)
@@ -96,6 +101,13 @@ def _count(
         c["missed"] += decision == "pass" and (moved > MATTERS * TOLERANCE or name.endswith("stated size"))
         c["visits"] += visits
         c["moved"] = max(c["moved"], round(1e6 * moved))
+
+
+def _planned(seed: int, turn: int) -> Poses:
+    """The poses that `irec plan` chooses for the AFP cell."""
+    made = make_plan(planned_cell(AFP), POSES, pool_size=POOL, seed=seed, turn=turn)
+    pool, chosen = made.pool, made.chosen
+    return Poses(pool.q[chosen], pool.rail[chosen], pool.p_in_base[chosen], pool.R_in_base[chosen])
 
 
 def _print(counts: dict[str, Counter[str]], bounds: dict[str, list[tuple[float, float]]], args: argparse.Namespace) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..cell import read_cell
 from ..errors import IrecError
-from ..poses.plan import make_plan, pose_list
+from ..poses.plan import TURN, TURN_FROM, make_plan, pose_list, turn_for
 from ..poses.select import METHODS
 from ..poses.store import write_poses
 from ..report.pose_picture import save_picture
@@ -23,6 +23,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--d-max", type=float, default=0.0, metavar="M", help="cover: stop when every candidate is within M metres of a pose"
     )
+    turn = "poses, at least, in which loads turn the torque of each axis that they can turn; play shows nowhere else"
+    parser.add_argument("--turn", type=int, metavar="POSES", help=f"{turn} (default: {TURN}, or 0 if N < {TURN_FROM})")
     parser.add_argument("--along-surface", action="store_true", help="distances along the surface instead of straight")
     parser.add_argument("--pool", type=int, default=3000, help="size of the pool of candidates (default: 3000)")
     parser.add_argument("--seed", type=int, default=1, help="of the random draws (default: 1)")
@@ -41,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
         pool_size=args.pool,
         seed=args.seed,
         along_surface=args.along_surface,
+        turn=turn_for(args.n) if args.turn is None else args.turn,
     )
     path = write_poses(pose_list(cell, plan), args.output or cell.poses_path)
     picture: Path | None = None
@@ -71,5 +74,8 @@ def run(args: argparse.Namespace) -> int:
         f"predicted uncertainty of the deflection over the work surface (tracker and settling noise, 18 DOF): "
         f"rms {1e6 * f['predicted_uncertainty_rms_m']:.1f} um, at most {1e6 * f['predicted_uncertainty_max_m']:.1f} um"
     )
+    axes = [name.removeprefix("turnable_") for name, count in f.items() if name.startswith("turnable_") and count]
+    turned = [f"{a} in {f[f'turned_{a}']:.0f} poses (of {f[f'turnable_{a}']:.0f} in the pool)" for a in axes]
+    print(f"play shows where loads turn the torque of an axis: {', '.join(turned) or 'nowhere'}")
     print(f"wrote {path}" + (f" and {picture}" if picture else f" (no picture: {missing})"))
     return 0

@@ -22,8 +22,16 @@ from .blocks import (
     whitened,
 )
 from .pool import Pool, generate_pool
-from .select import Candidates, cover_distance, select_poses
+from .select import Candidates, central, cover, cover_distance, select_poses
 from .store import EngagementPose, PoseList
+from .turning import SHARE, exchanged, turned, wanted
+
+TURN, TURN_FROM = 2, 12  # poses in which each axis is turned, where so many poses are asked for: one of them may fail
+
+
+def turn_for(n: int) -> int:
+    """Poses of n in which the torque of each axis should be turned; none where that would be most of them."""
+    return TURN if n >= TURN_FROM else 0
 
 
 @dataclass(frozen=True)
@@ -52,6 +60,7 @@ def make_plan(
     pool_size: int = 3000,
     seed: int = 1,
     along_surface: bool = False,
+    turn: int = 0,
 ) -> Plan:
     """Generate the pool of a cell, select poses, and predict what they will teach.
 
@@ -60,6 +69,8 @@ def make_plan(
         method: one of select.METHODS.
         d_max: cover distance at which `cover` stops, m; 0: never.
         along_surface: measure distances along the surface instead of straight.
+        turn: poses in which the load cases turn the torque of each axis that they can turn anywhere on the tooling, at least, so
+            that play shows; `cover` begins with those that it would lack, other methods exchange their nearest. 0: as it comes.
 
     Raises:
         PlanError: no point can be engaged, or fewer than n can.
@@ -82,6 +93,14 @@ def make_plan(
         work=subspace.reduce(gram(deflection).mean(axis=0)),
     )
     chosen = select_poses(method, candidates, n, d_max=d_max, seed=seed)
+    far = turned(cell, pool.q)
+    needed = wanted(far, chosen, turn)
+    if len(needed) > n:
+        raise PlanError(f"{n} poses can't turn the torque of each axis in {turn}: {len(needed)} are needed for that")
+    if len(needed) and method == "cover":
+        first = np.array(list(dict.fromkeys((*needed.tolist(), central(candidates.points)))))
+        chosen = cover(candidates.points, n, d_max, first=first, distance=candidates.distance)
+    chosen = exchanged(candidates.points, chosen, needed)
     every = predicted_uncertainty(weighted[chosen].sum(axis=0), subspace, deflection)
     rows = 3 * len(chosen) * len(cell.forces_in_tool)
     reduced = subspace.reduce(grams[chosen].sum(axis=0))
@@ -96,6 +115,9 @@ def make_plan(
         "predicted_uncertainty_rms_m": float(np.sqrt(np.mean(every**2))),
         "predicted_uncertainty_max_m": float(every.max()),
     }
+    for axis, name in enumerate(cell.robot.joint_names):
+        figures[f"turned_{name}"] = int((far[chosen, axis] > SHARE).sum())
+        figures[f"turnable_{name}"] = int((far[:, axis] > SHARE).sum())
     return Plan(pool, chosen, method, d_max, seed, every.max(axis=1), figures)
 
 

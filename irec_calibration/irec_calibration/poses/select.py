@@ -99,7 +99,7 @@ def cover(
     n: int,
     d_max: float = 0.0,
     *,
-    first: int | None = None,
+    first: IntArray | None = None,
     distance: Callable[[int], Array] | None = None,
 ) -> IntArray:
     """Gonzalez' farthest-point heuristics for the k-centre problem (Pseudocode 2), O(n k).
@@ -108,7 +108,7 @@ def cover(
         points: (n_points, 3), m.
         n: largest number of poses.
         d_max: stop when every point is within this distance of a chosen one, m; 0: never.
-        first: index of the first pose; the point nearest the centroid when None.
+        first: indices that are chosen before any other; the point nearest the centroid when None.
         distance: index -> distances to all points, m; straight lines when None.
     """
     coordinates = np.ascontiguousarray(points.T)
@@ -120,9 +120,9 @@ def cover(
         return x * x + y * y + z * z
 
     if first is None:
-        first = int(np.argmin(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))
-    chosen = [first]
-    nearest = to_all(first)
+        first = np.array([central(points)])
+    chosen = first.tolist()[:n]
+    nearest = np.min([to_all(i) for i in chosen], axis=0)
     while len(chosen) < n:
         farthest = int(np.argmax(nearest))
         if nearest[farthest] <= d_max * d_max:
@@ -130,6 +130,11 @@ def cover(
         chosen.append(farthest)
         np.minimum(nearest, to_all(farthest), out=nearest)
     return np.array(chosen)
+
+
+def central(points: Array) -> int:
+    """Index of the point nearest the centroid; points (n, 3), m."""
+    return int(np.argmin(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))
 
 
 def cover_distance(candidates: Candidates, chosen: IntArray) -> float:

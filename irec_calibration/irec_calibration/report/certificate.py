@@ -130,8 +130,9 @@ def draw_trend(axes: Any, points: Sequence[TrendPoint]) -> None:
         for i, value, error in zip(x, y, se, strict=True):
             softer = points[i].softer_below.get(axis, 0.0)
             bars = [[0.0], [1e6 * softer * value]] if i in checks else [[2e6 * error], [2e6 * error]]
-            style = {"ms": 4 if i in doubtful else 3, "capsize": 2, "color": line.get_color(), "mfc": "white" if i in checks else line.get_color()}
-            right.errorbar([i + shift], [1e6 * value], bars, fmt="X" if i in doubtful else "o", **style)
+            colour = line.get_color()
+            style = {"fmt": "X" if i in doubtful else "o", "ms": 4 if i in doubtful else 3, "capsize": 2, "color": colour}
+            right.errorbar([i + shift], [1e6 * value], bars, mfc="white" if i in checks else colour, **style)
     of_checks = ";\nof a check: less than" if checks else ""
     right.set_ylabel(f"compliance, urad/(N m)\n(bars: 2 std. errors{of_checks})")
     right.margins(y=0.15)
@@ -175,7 +176,7 @@ def _pdf(c: Certificate) -> bytes:
     y -= 0.02
     write("What was done and found", 11, 0.024, weight="bold")
     for name, value in c.rows:
-        wrapped = [part for line in value.split("\n") for part in textwrap.wrap(line, 82)] or [""]
+        wrapped = [part for line in value.split("\n") for part in textwrap.wrap(line, 77)] or [""]
         figure.text(left, y, name, fontsize=8.5, va="top", color="#5a6270")
         for line in wrapped:
             write(line, 8.5, 0.0155, left + 0.27)

@@ -85,7 +85,8 @@ def _quick_rows(outcome: Outcome) -> list[tuple[str, str]]:
         seen = "\n".join(_grouped(p.seen)) or "nothing"
         rows.append(("Would have been found", f"{seen}\n(each missed with a probability of 5 % at the most)"))
         if p.never:
-            rows.append(("Can't be seen at these poses", f"{'; '.join(p.never)}: under these loads it does not move the tool there"))
+            why = "under these loads it does not move the tool there"
+            rows.append(("Can't be seen at these poses", f"{'; '.join(p.never)}: {why}"))
     return rows
 
 
@@ -119,8 +120,9 @@ def _grouped(changes: Sequence[str]) -> list[str]:
         else:
             out.append(text)
     for (what, unit), found in along.items():
-        sizes = list(dict.fromkeys(size for size, _ in found))
-        out.append(f"{what}{', '.join(sizes if len(sizes) == 1 else [s for s, _ in found])}{unit}{', '.join(w for _, w in found)}")
+        sizes, ways = zip(*found, strict=True)
+        figure = sizes[0] if len(set(sizes)) == 1 else ", ".join(sizes)
+        out.append(f"{what}{figure}{unit}{', '.join(ways)}")
     return out
 
 

@@ -62,7 +62,7 @@ def test_verification_poses_are_covers_that_begin_at_another_pose_each_and_train
     for held, trained in zip(codec.verification, codec.training, strict=True):
         assert set(held) | set(trained) == set(data.poses)
         first = int(np.flatnonzero(data.poses == held[0])[0])
-        np.testing.assert_array_equal(held, data.poses[cover(data.points, 5, first=first)])
+        np.testing.assert_array_equal(held, data.poses[cover(data.points, 5, first=np.array([first]))])
         pool = np.flatnonzero(np.isin(data.poses, trained))
         np.testing.assert_array_equal(trained, data.poses[pool[cover(data.points[pool], 11)]])
 

@@ -60,8 +60,8 @@ def test_cover_is_at_most_twice_as_wide_as_the_best_cover(seed):
 def test_cover_measures_with_the_distance_that_it_is_given():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
     table = np.array([[0, 1, 9, 1], [1, 0, 9, 1], [9, 9, 0, 9], [1, 1, 9, 0.0]])  # index 2 lies on the far side of a gap
-    assert list(cover(points, 2, first=0)) == [0, 1]
-    assert list(cover(points, 2, first=0, distance=lambda i: table[i])) == [0, 2]
+    assert list(cover(points, 2, first=np.array([0]))) == [0, 1]
+    assert list(cover(points, 2, first=np.array([0]), distance=lambda i: table[i])) == [0, 2]
 
 
 def ioops_with_one_svd_per_candidate(rows, n, seed):
