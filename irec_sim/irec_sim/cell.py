@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated cell in steps of 4 ms: the controller, what it commands, and when it switches off.
+"""The simulated cell in steps, usually of 4 ms: the controller, what it commands, and when it switches off.
 
 The arm and what it presses on are in `equilibrium`, what is read of it in `readings`, temperatures in `heat`.
 """
@@ -52,11 +52,13 @@ class Cell:
         arm: the elastic arm on what it presses on.
     """
 
-    def __init__(self, cell: CellFile, truth: Truth, seed: int = 0, settings: InstrumentSettings | None = None) -> None:
-        """Stand at HOME in position control, rail at 0."""
+    def __init__(
+        self, cell: CellFile, truth: Truth, seed: int = 0, settings: InstrumentSettings | None = None, period: float = PERIOD
+    ) -> None:
+        """Stand at HOME in position control, rail at 0. period: of a step, s; servo and force controller bear 0.02."""
         self.cell, self.chain = cell, cell.chain
         self.settings = settings or InstrumentSettings()
-        self.period, self.time, self.mode = PERIOD, 0.0, POSITION
+        self.period, self.time, self.mode = period, 0.0, POSITION
         self.rail_names: tuple[str, ...] = ("ext_rail",) if cell.rail is not None else ()
         self.rail_range: tuple[float, float] = cell.rail[1] if cell.rail is not None else (0.0, 0.0)
         self._rail_axis = cell.rail[0] if cell.rail is not None else np.zeros(3)

@@ -11,6 +11,7 @@ false alarms; and by the same test of a thousand repeats of each visit, where wh
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import tempfile
 from collections import Counter
@@ -22,7 +23,7 @@ from typing import Any
 import numpy as np
 from irec_calibration.cell import read_cell as planned_cell
 from irec_calibration.identification.identify import default_terms, identify
-from irec_calibration.poses.plan import make_plan
+from irec_calibration.poses.plan import TURN, make_plan
 from irec_calibration.recertification.quick_check import (
     FALSE_ALARM,
     MOST_VISITS,
@@ -34,7 +35,7 @@ from irec_calibration.recertification.quick_check import (
 from irec_calibration.recertification.quick_plan import MATTERS, QuickPlan, plan
 from irec_calibration.recertification.station import with_stations_found
 from irec_calibration.session import Session, read_session
-from irec_calibration.typing import Array
+from irec_calibration.typing import Array, Json
 from irec_sim.cellfile import CellFile, read_cell
 from irec_sim.observe import simulate
 from irec_sim.poses import Poses
@@ -60,26 +61,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--noise", type=float, default=1.0, help="true noise as a multiple of the stated one (default: 1)")
     across = "forces across the tool in the check, times those of the calibration (default: 1.25, what the cell bears)"
     parser.add_argument("--lateral", type=float, default=1.25, help=across)
-    turn = "poses in which the load turns the torque of each axis that it can turn, as `irec plan --turn` (default: 2)"
-    parser.add_argument("--turn", type=int, default=2, help=turn)
+    turn = "poses in which the load turns the torque of each axis that it can turn, as `irec plan --turn` (default: 3)"
+    parser.add_argument("--turn", type=int, default=TURN, help=turn)
     parser.add_argument("--bounds", action="store_true", help="check no robot: only what the best test finds of each change")
+    kept = "file of what was counted: robots that are in it already are not checked again, and are part of the table"
+    parser.add_argument("--keep", type=Path, help=kept)
     args = parser.parse_args(arguments)
-    counts: dict[str, Counter[str]] = {}
-    bounds: dict[str, list[tuple[float, float]]] = {}
+    done = _read(args)
     try:
         for seed in range(args.first, args.first + args.robots):
-            _count(counts, bounds, seed, args)
-            print(f"robot {seed}", file=sys.stderr, flush=True)
+            if str(seed) not in done:
+                done[str(seed)] = _robot(seed, args)
+                print(f"robot {seed}", file=sys.stderr, flush=True)
+                if args.keep:
+                    args.keep.write_text(json.dumps({"settings": _settings(args), "robots": done}))
     except KeyboardInterrupt:
         print("interrupted: what was counted so far", file=sys.stderr)
-    _print(counts, bounds, args)
+    _print(done, args)
     return 0
 
 
-def _count(
-    counts: dict[str, Counter[str]], bounds: dict[str, list[tuple[float, float]]], seed: int, args: argparse.Namespace
-) -> None:
-    """One robot: calibrated, then checked unchanged and with each change."""
+def _settings(args: argparse.Namespace) -> Json:
+    """What all robots of a table have in common."""
+    return {k: v for k, v in vars(args).items() if k not in ("robots", "first", "keep")}
+
+
+def _read(args: argparse.Namespace) -> dict[str, Json]:
+    """Results of robots, by number, that were kept."""
+    if not args.keep or not args.keep.exists():
+        return {}
+    kept = json.loads(args.keep.read_text())
+    if kept["settings"] != _settings(args):
+        raise SystemExit(f"{args.keep}: counted with {kept['settings']}, not with {_settings(args)}; name another file")
+    return dict(kept["robots"])
+
+
+def _robot(seed: int, args: argparse.Namespace) -> Json:
+    """One robot: calibrated, then checked unchanged and with each change; name -> what came of it each time."""
+    found: dict[str, list[Json]] = {}
     truth = make_truth("afp", [], seed)
     where = _planned(seed, args.turn)
     base = with_stations_found(_measured(truth, where, 1000 + seed, args.noise, args.repeats))
@@ -93,14 +112,12 @@ def _count(
         else:
             decision, visits = _checked(reference, changed, _some(where, poses), noise_seed, args.noise, chosen)
         moved = float(np.linalg.norm(_moved(truth, changed, where), axis=1).max())
-        bounds.setdefault(name, []).append(_bound(reference, truth, changed, _some(where, poses), args.lateral))
-        c = counts.setdefault(name, Counter())
-        c[decision] += 1
+        best, many = _bound(reference, truth, changed, _some(where, poses), args.lateral)
         # one that moves the tool by a part of the tolerance that matters, or that is as large as the plan says it has to be
-        c["matters"] += moved > MATTERS * TOLERANCE or name.endswith("stated size")
-        c["missed"] += decision == "pass" and (moved > MATTERS * TOLERANCE or name.endswith("stated size"))
-        c["visits"] += visits
-        c["moved"] = max(c["moved"], round(1e6 * moved))
+        matters = moved > MATTERS * TOLERANCE or name.endswith("stated size")
+        result = {"decision": decision, "visits": visits, "moved": moved, "matters": matters, "best": best, "many": many}
+        found.setdefault(name, []).append(result)
+    return found
 
 
 def _planned(seed: int, turn: int) -> Poses:
@@ -110,29 +127,37 @@ def _planned(seed: int, turn: int) -> Poses:
     return Poses(pool.q[chosen], pool.rail[chosen], pool.p_in_base[chosen], pool.R_in_base[chosen])
 
 
-def _print(counts: dict[str, Counter[str]], bounds: dict[str, list[tuple[float, float]]], args: argparse.Namespace) -> None:
-    said = f"each calibrated on {POSES} poses measured {args.repeats} times, noise {args.noise:g} times the stated"
-    said += f", {args.lateral:g} times the forces across the tool"
-    print(f"quick check, robots {args.first} to {args.first + args.robots - 1}, {said}")
+def _print(done: Mapping[str, Json], args: argparse.Namespace) -> None:
+    found: dict[str, list[Json]] = {}
+    for robot in done.values():
+        for name, results in robot.items():
+            found.setdefault(name, []).extend(results)
+    said = (
+        f"each calibrated on {POSES} poses measured {args.repeats} times, {args.turn} or more of them turn each axis that can be"
+    )
+    said += f" turned, noise {args.noise:g} times the stated, {args.lateral:g} times the forces across the tool"
+    numbers = sorted(int(n) for n in done)
+    print(f"quick check, {len(done)} robots ({numbers[0]} to {numbers[-1]}), {said}" if done else "no robot was checked")
+    best = "best: what the best test of the same readings finds"
+    print(f"found: did not pass; moved: largest displacement of the tool; {best}, also with {MANY:g} repeats of each")
+    print(f"{'':30}  changed  not decided  pass  mean visits  moved um   found  best  repeats")
+    for name, results in found.items():
+        n, c = len(results), Counter(r["decision"] for r in results)
+        mean = {k: float(np.mean([r[k] for r in results])) for k in ("visits", "best", "many")}
+        moved = 1e6 * max(r["moved"] for r in results)
+        row = f"{c['changed']:7}  {c['undecided']:11}  {c['pass']:4}  {mean['visits']:11.1f}  {moved:8.0f}"
+        share = "     -" if args.bounds else f"{100.0 * (1.0 - c['pass'] / n):4.0f} %"
+        print(f"{name:30}  {row}  {share}  {100 * mean['best']:3.0f} %  {100 * mean['many']:4.0f} %")
     if args.bounds:
-        print("moved: largest displacement of the tool; best: what the best test of all visits finds")
-        for name, c in counts.items():
-            best, many = (100.0 * x for x in np.mean(bounds[name], axis=0))
-            print(f"{name:30}  moved {c['moved']:4} um  best {best:3.0f} %  with {MANY:g} repeats {many:3.0f} %")
         return
-    print("found: did not pass; moved: largest displacement of the tool; best: what the best test of the same readings finds")
-    print(f"{'':30}  changed  not decided  pass  mean visits  moved um   found  best  with {MANY:g} repeats")
-    for name, c in counts.items():
-        times = c["changed"] + c["pass"] + c["undecided"]
-        best, many = (100.0 * x for x in np.mean(bounds[name], axis=0))
-        row = f"{c['changed']:7}  {c['undecided']:11}  {c['pass']:4}  {c['visits'] / times:11.1f}  {c['moved']:8}"
-        print(f"{name:30}  {row}  {100.0 * (1.0 - c['pass'] / times):5.0f} %  {best:3.0f} %  {many:5.0f} %")
-    same = counts[UNCHANGED]
-    times = same["changed"] + same["pass"] + same["undecided"]
-    print(f"false alarms: {_share(same['changed'], times)}; unchanged robots that passed: {_share(same['pass'], times)}")
-    others = [c for name, c in counts.items() if name != UNCHANGED]
-    matter, missed = sum(c["matters"] for c in others), sum(c["missed"] for c in others)
-    print(f"changes that matter or have their stated size and did not pass: {_share(matter - missed, matter)}")
+    same = Counter(r["decision"] for r in found.get(UNCHANGED, []))
+    times = same.total()
+    if times:
+        print(f"false alarms: {_share(same['changed'], times)}; unchanged robots that passed: {_share(same['pass'], times)}")
+    others = [r for name, results in found.items() if name != UNCHANGED for r in results if r["matters"]]
+    if others:
+        caught = sum(r["decision"] != "pass" for r in others)
+        print(f"changes that matter or have their stated size and did not pass: {_share(caught, len(others))}")
 
 
 def _share(k: int, n: int) -> str:
@@ -189,9 +214,7 @@ def _bound(reference: Reference, before: Truth, after: Truth, where: Poses, late
     return once, often
 
 
-def _checked(
-    reference: Reference, truth: Truth, where: Poses, seed: int, noise: float, chosen: QuickPlan
-) -> tuple[str, int]:
+def _checked(reference: Reference, truth: Truth, where: Poses, seed: int, noise: float, chosen: QuickPlan) -> tuple[str, int]:
     session = _measured(truth, where, seed, noise, lateral=chosen.lateral)
     for n in chosen.looks:
         result = check(reference, session.select_poses(list(range(1, n + 1))), chosen.sizes, last=n == MOST_VISITS)

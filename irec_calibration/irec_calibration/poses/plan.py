@@ -26,7 +26,7 @@ from .select import Candidates, central, cover, cover_distance, select_poses
 from .store import EngagementPose, PoseList
 from .turning import SHARE, exchanged, turned, wanted
 
-TURN, TURN_FROM = 2, 12  # poses in which each axis is turned, where so many poses are asked for: one of them may fail
+TURN, TURN_FROM = 3, 16  # poses in which each axis is turned, where so many are asked for: one may fail, one turn too little
 
 
 def turn_for(n: int) -> int:
