@@ -17,7 +17,7 @@ from case_parts import calibrated, learned  # noqa: E402
 from case_parts.jobs import Case, Job, corrected, filters_of  # noqa: E402
 from case_parts.moving import moving_session  # noqa: E402
 from case_parts.story import courses_of  # noqa: E402
-from case_parts.table import Figures, figures, outside_bands  # noqa: E402
+from case_parts.table import Figures, figures, outside_bands, reduction  # noqa: E402
 from irec_calibration.cell import read_cell  # noqa: E402
 from irec_calibration.identification.observe import observe  # noqa: E402
 from irec_calibration.model import EIGHTEEN_DOF, blank_model  # noqa: E402
@@ -120,6 +120,22 @@ def test_secondary_encoders_leave_the_structure_to_the_model_and_less_error(afp:
     by_force, by_links = (figures(drive(afp.sim, afp.hard, afp.ways, c), cell.tolerance) for c in controllers)
     assert by_links.mean < 0.75 * by_force.mean
     assert controllers[1].told()["findings"] == 0
+
+
+@pytest.mark.parametrize(("name", "disc", "least"), [("afp", None, 80.0), ("machining", calibrated.DISC, 80.0)])
+def test_a_session_in_which_no_tracker_is_read_corrects_nearly_as_well(
+    name: str, disc: tuple[float, float] | None, least: float, request: pytest.FixtureRequest
+) -> None:
+    """Under forces along the tool by itself, under forces across it where the disc's stiffness is known."""
+    cell: Calibrated = request.getfixturevalue(name)
+    model = calibrated.by_contact(cell.session, cell.case.out, disc)
+    path = cell.case.out / ("model_contact.yaml" if disc is None else "model_contact_disc.yaml")
+    assert ("disc_compliance" in model.effects) == (disc is None)
+    controller = corrected(cell.case, Job("contact", COURSES[name], str(path)), cell.ways)
+    tolerance = read_cell(cell.case.cell_path).tolerance
+    before, after = (figures(d, tolerance) for d in (cell.uncorrected, drive(cell.sim, cell.hard, cell.ways, controller)))
+    assert reduction(before, after)[0] > least
+    assert controller.told()["findings"] == 0
 
 
 def test_a_model_of_the_arm_in_motion_foretells_other_courses_better_than_one_of_the_standing_arm(afp: Calibrated) -> None:

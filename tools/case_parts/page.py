@@ -112,7 +112,8 @@ def _table_one(found: Found) -> Section:
     )
     text.append(
         "Without the tracker: the 18-DOF model of the same calibration session, in which no marker was read. The disc on the "
-        "tooling is the measured point (docs/without-tracker.md), and its compliance is identified along."
+        "tooling is the measured point (docs/without-tracker.md), and its compliance is identified along. What it gives way "
+        "across can't be told from the wrist; in the line below its stiffness is known from a bench, 5 % off."
     )
     if found.case == "machining":
         text.append(

@@ -55,7 +55,7 @@ class Teller:
 
 
 LINKS = "18 DOF, secondary encoders"
-CONTACT = "18 DOF, without the tracker"
+CONTACT, CONTACT_DISC = "18 DOF, without the tracker", "the same, its disc measured before"
 THROUGH_NODES = "through the nodes: simulated cell on the hard plant, procedure node, session.mcap"
 GENERATED = "generated directly from the plant at the planned poses (--no-nodes), not through the nodes"
 
@@ -81,8 +81,9 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
     behind = calibrated.link_session(sim, cell, hard.truth, case.out / "session_links")
     calibrated.beyond_links(behind, case.out)
     held = calibrated.by_contact(session, case.out)
+    calibrated.by_contact(session, case.out, calibrated.DISC)
     say(f"without the tracker: {' + '.join(held.effects)}, {_um(held)} um on held-out poses, mostly along the normal")
-    models = {k: str(case.out / f"model_{k}.yaml") for k in ("6dof", "18dof", "improved", "contact")}
+    models = {k: str(case.out / f"model_{k}.yaml") for k in ("6dof", "18dof", "improved", "contact", "contact_disc")}
     whole = {
         "without": Job("without", rows),
         "18 DOF": Job("18dof", rows, models["18dof"]),
@@ -90,6 +91,7 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
         "6 DOF": Job("6dof", rows, models["6dof"]),
         LINKS: Job("links", rows, str(case.out / "model_links.yaml"), links=True),
         CONTACT: Job("contact", rows, models["contact"]),
+        CONTACT_DISC: Job("contact_disc", rows, models["contact_disc"]),
         "oracle": Job("oracle", rows, "oracle"),
     }
     plan = budget_jobs(case, say) if budget else None

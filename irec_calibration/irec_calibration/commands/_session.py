@@ -35,11 +35,20 @@ def configure_without_tracker(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--slip", type=float, default=SLIP_M, metavar="M", help=f"m by which the disc slips across, with it (default: {SLIP_M:g})"
     )
+    parser.add_argument(
+        "--disc",
+        type=float,
+        nargs=2,
+        metavar=("NORMAL", "LATERAL"),
+        help="N/m, stiffness of the disc as measured, with it (default: identified along)",
+    )
 
 
 def as_read(args: argparse.Namespace, session: Session) -> Session:
     """The session as `--without-tracker` says. SessionError: it can't be read so."""
-    return without_tracker(session, args.slip) if args.without_tracker else session
+    if not args.without_tracker:
+        return session
+    return without_tracker(session, args.slip, disc=tuple(args.disc) if args.disc else None)
 
 
 def starting_model(args: argparse.Namespace, session: Session) -> Model | None:

@@ -165,9 +165,10 @@ def default_terms(session: Session) -> tuple[Term, ...]:
 
 
 def with_disc(terms: Sequence[Term], session: Session) -> tuple[Term, ...]:
-    """The terms, with that of the disc where the contact stands in for the tracker: no such session is without it."""
+    """The terms, with that of the disc where the contact stands in for the tracker and nobody has stated its stiffness."""
     there = any(t.effect.id == DiscCompliance.id for t in terms)
-    return tuple(terms) if there or session.contact is None else (*terms, Term(find_effect(DiscCompliance.id)))
+    wanted = session.contact is not None and not session.contact.disc_known
+    return (*terms, Term(find_effect(DiscCompliance.id))) if wanted and not there else tuple(terms)
 
 
 def with_registration(terms: Sequence[Term], observation: Observation) -> tuple[Term, ...]:

@@ -91,10 +91,12 @@ class Contact:
     Attributes:
         normal_m: how far the disc comes or goes along tool0 z although it is believed to stay, one standard deviation, m.
         slip_m: the same across tool0 z, m; much larger, since a disc creeps and slips along the surface.
+        disc_known: what the disc gives way is in the positions already, by its stated stiffness.
     """
 
     normal_m: float
     slip_m: float
+    disc_known: bool = False
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import SessionError
-from ..typing import BoolArray, IntArray
+from ..typing import Array, BoolArray, IntArray
 from .data import Contact, Marker, Session, Station
 
 ENCODER_RAD = 2e-6  # one standard deviation of the mean angle of a row: 20 to 24 bits per turn, behind a gear
@@ -24,15 +24,19 @@ HOLDS = 1.0  # force across over force along the tool above which no disc holds
 CARRIED = 1e-5  # m or rad by which an external axis may move within a pose
 MOVED = 2e-6  # m by which the controller's TCP moves at least (median) under changing loads where joint angles were measured
 FEWEST_POSES = 3
+DISC_LIMITS = (1e4, 1e9)  # N/m: a sponge, a block of steel
 
 
-def without_tracker(session: Session, slip_m: float = SLIP_M, encoder_rad: float = ENCODER_RAD) -> Session:
+def without_tracker(
+    session: Session, slip_m: float = SLIP_M, encoder_rad: float = ENCODER_RAD, disc: tuple[float, float] | None = None
+) -> Session:
     """The session whose measured point is the contact of the disc with the tooling; marker columns are not read.
 
     Args:
         session: loaded, with the joint angles measured in every row while the disc pressed.
         slip_m: by how much the disc slips or creeps across tool0 z within a pose, one standard deviation, m.
         encoder_rad: noise of the joint angles of a row, one standard deviation, rad.
+        disc: stiffness of the disc along tool0 z and across it as somebody measured it, N/m; None: to be identified along.
 
     Returns:
         Loaded rows only, in the order of the file. The lowest load case of each pose and repeat is the reference now
@@ -52,6 +56,9 @@ def without_tracker(session: Session, slip_m: float = SLIP_M, encoder_rad: float
         raise SessionError(
             f"slip is {slip_m:g} m and encoder noise {encoder_rad:g} rad; above 0 and up to 1 m, 0.01 rad are allowed"
         )
+    if disc is not None and not all(DISC_LIMITS[0] <= k <= DISC_LIMITS[1] for k in disc):
+        low, high = DISC_LIMITS
+        raise SessionError(f"stiffness of the disc is {disc[0]:g} and {disc[1]:g} N/m, {low:g} to {high:g} N/m are allowed")
     notes = list(session.notes)
     loaded = _one_marker(session) & (session.load_case != 0)
     usable = loaded & _pressed(session)
@@ -75,11 +82,14 @@ def without_tracker(session: Session, slip_m: float = SLIP_M, encoder_rad: float
     _check_measured(found, reference, where)
     normal = float(np.hypot(_by_encoders(found, encoder_rad), found.noise.settling_m))
     of_tcp = np.zeros(len(found), dtype=np.int64)
+    where_tcp_is = found.p_tcp_in_base[reference]
+    if disc is not None:
+        where_tcp_is = where_tcp_is - _given_way(found, disc)
     return replace(
-        found, load_case=case, p_marker_in_station=found.p_tcp_in_base[reference], station=of_tcp,
+        found, load_case=case, p_marker_in_station=where_tcp_is, station=of_tcp,
         stations=(Station("tooling", known=True),), marker=of_tcp.copy(), markers=(Marker("disc"),),
         noise=replace(found.noise, tracker_m=normal, tracker_m_per_m=0.0, settling_m=0.0),
-        notes=tuple(notes), contact=Contact(normal, max(slip_m, normal)),
+        notes=tuple(notes), contact=Contact(normal, max(slip_m, normal), disc is not None),
     )  # fmt: skip
 
 
@@ -143,6 +153,12 @@ def _check_measured(found: Session, reference: IntArray, where: str) -> None:
             f"{where}: the controller's TCP moves by {middle:.2g} um (median) from one load case to the next, at least "
             f"{1e6 * MOVED:g} um is expected where force control presses on: joint angles seem to be commanded ones, not measured"
         )
+
+
+def _given_way(found: Session, disc: tuple[float, float]) -> Array:
+    """By how much a disc of this stiffness, N/m, lets the TCP come nearer to its place on the tooling, (n, 3), m in base_link."""
+    compliance = 1.0 / np.array([disc[1], disc[1], disc[0]])
+    return np.asarray(np.einsum("nij,nj->ni", found.robot.kinematics(found.q).R_tool, compliance * found.force_in_tool))
 
 
 def _by_encoders(found: Session, encoder_rad: float) -> float:

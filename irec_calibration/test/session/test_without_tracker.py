@@ -193,6 +193,25 @@ def test_the_command_says_why_it_can_not(tmp_path, capsys):
     assert not (tmp_path / "m.yaml").exists()
 
 
+def test_a_disc_that_was_measured_before_lets_the_deflection_across_be_foretold_too():
+    made, other = pressed(encoder=2e-6, slip=2e-5, spread=3.0), pressed(20, seed=5)
+    sideways = np.hypot(*other.force_in_tool[other.load_case > 0, :2].T) > 100.0
+    wrong = []
+    for disc in (None, (1.0 / DISC[2], 1.0 / DISC[0])):
+        held = without_tracker(made, slip_m=2e-5, disc=disc)
+        model = diagnose.solved(held, default_terms(held))[0]
+        predicted, true = apart(model, other)
+        wrong.append(np.linalg.norm((predicted - true)[sideways, :2], axis=1).mean())
+    assert model.effects == EIGHTEEN_DOF
+    assert wrong[1] < 0.5 * wrong[0] and wrong[1] < 2e-5
+
+
+@pytest.mark.parametrize("disc", [(4e6, 0.0), (4e-7, 1.5e6), (4e6, float("nan"))])
+def test_the_stiffness_of_a_disc_is_one(disc):
+    with pytest.raises(SessionError, match="N/m are allowed"):
+        without_tracker(pressed(4), disc=disc)
+
+
 @pytest.mark.parametrize(("effect", "said"), [("tracker_scale", "no tracker measured"), ("creep", "was before is not known")])
 def test_effects_that_need_a_tracker_or_a_relaxed_reference_are_refused(effect, said):
     held = without_tracker(pressed(6))
