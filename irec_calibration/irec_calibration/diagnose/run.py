@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,20 @@ def start_terms(session: Session) -> tuple[Term, ...]:
     return default_terms(session)
 
 
+@dataclass(frozen=True)
+class _Done:
+    """Shares of the time of a diagnosis after its steps."""
+
+    fitted: float
+    built: float
+    weighed: float
+    tried: float
+
+
+# as sessions of 100 to 36 000 rows took (medians)
+DONE = {"loaded": _Done(0.08, 0.70, 0.95, 0.97), "absolute": _Done(0.30, 0.60, 0.93, 0.98)}
+
+
 def diagnose(
     session: Session,
     model: Model | None = None,
@@ -69,7 +83,7 @@ def examine(
     cancelled: Callable[[], bool] | None = None,
 ) -> tuple[Diagnosis, Assessment, Shown]:
     """As `diagnose`, with what the diagnosis rests on."""
-    say = progress or (lambda share, what: None)
+    say, done = progress or (lambda share, what: None), DONE[session.kind]
 
     def check() -> None:
         if cancelled is not None and cancelled():
@@ -81,30 +95,30 @@ def examine(
     check()
     study = completed_study(asked)
     check()
-    say(0.1, "building a model from the effects of the catalogue")
+    say(done.fitted, "building a model from the effects of the catalogue")
     built = build(study, check)
     left = noise_left(built.final.study, built.final.remainder, built.family)
     if left is not None:
         # what is named now was taken for noise before: weigh everything again at the noise that is left
-        say(0.4, "weighing the effects again at the noise that is left")
+        say(0.5 * (done.fitted + done.built), "weighing the effects again at the noise that is left")
         asked, study = study_of(left, asked.terms), study_of(left, study.terms)
         built = build(study, check)
-    say(0.7, "weighing the evidence")
+    say(done.built, "weighing the evidence")
     relaxed = session.kind == "loaded" and session.contact is None  # references bear no force
     readings = reference_readings(study.ready, session.noise.force_n) if relaxed else None
     assessment = assess(asked, built, readings, check)
     shown = shown_of(session, first, assessment, check)
-    say(0.85, "held-out error of each candidate")
+    say(done.weighed, "held-out error of each candidate")
     candidates = _candidates(assessment, readings, check)
     left_over = assessment.status == "unexplained" or assessment.remaining_m > 0.0
     proposed = proposals(assessment.study, assessment.remainder, assessment.depends_on, check) if left_over else ()
-    say(0.9, "views of the residual")
+    say(done.tried, "views of the residual")
     whiten = study.observation.whiten
     observation = replace(study.observation, whiten=whiten.scaled(assessment.noise.inferred_m / whiten.floor))
     comparison = compare_observed(observation, first.study.terms, first.study.fit.rank)
     where = views(observation, comparison.residual, comparison.predicted)
     check()
-    say(0.95, "what to measure next")
+    say(0.98, "what to measure next")
     planned = _next(assessment)
     result = Diagnosis(
         session=session.name,
