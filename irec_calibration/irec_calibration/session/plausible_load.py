@@ -13,7 +13,7 @@ from .data import Session
 FORCE_RATIO = 5.0  # between nominal and measured force of a load case
 COMPLIANCE_RATIO = 60.0  # between the deflection measured and that of drives which twist as drives do
 ALONG_FORCE = 0.1  # work of the force over what it would be if each deflection lay along it
-RESIDUAL = 0.8  # of the deflection, beside springs fitted to the session: axes that settle leave 0.7, forces of other rows 0.86
+RESIDUAL = 0.8  # of the deflection, beside springs and settling fitted to the session: forces of other rows leave 0.86
 ABOVE_NOISE = 5.0  # of the deflection over what is stated as noise, for its sign and size to be judged
 WITHIN_POSE = 0.05  # rad or m; joints between a reference and its load cases
 LARGEST_FORCE, LARGEST_ARM = 1e5, 5.0  # N; m, torque over force
@@ -120,12 +120,20 @@ def _typical(session: Session) -> Array:
 
 
 def _beside_springs(session: Session, rows: IntArray, reference: IntArray, moved: Array, force: Array) -> float:
-    """Share of the deflection (median norm) beside springs about every axis and across it."""
+    """Share of the deflection (median norm) beside springs about every axis and across it, and beside axes that settle.
+
+    Settling after each motion may move the marker by more than the force does.
+    """
     kin = session.robot.kinematics(session.q)
     believed, tcp = marker_as_believed(session), session.p_tcp_in_base
     at_marker = np.concatenate([kin.jacobian(believed), kin.virtual_jacobian(believed)], axis=2)
     at_tcp = np.concatenate([kin.jacobian(tcp), kin.virtual_jacobian(tcp)], axis=2)
-    A = at_marker[rows] * np.einsum("nik,ni->nk", at_tcp[rows], force)[:, None, :]
+    springs = at_marker[rows] * np.einsum("nik,ni->nk", at_tcp[rows], force)[:, None, :]
+    order = np.argsort(session.stamp, kind="stable")
+    step = np.zeros_like(session.q)
+    step[order[1:]] = np.diff(session.q[order], axis=0)
+    settled = kin.jacobian(believed) * step[:, None, :]
+    A = np.concatenate([springs, settled[rows] - settled[reference[rows]]], axis=2)
     flat, b = A.reshape(-1, A.shape[2]), moved.ravel()
     if len(b) < 2 * flat.shape[1]:
         return 0.0

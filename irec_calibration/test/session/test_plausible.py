@@ -141,6 +141,17 @@ def test_a_robot_that_settles_by_more_than_it_gives_way_is_no_doubt():
     assert doubts(session) == ()
 
 
+def test_axes_that_stop_short_of_the_way_between_poses_are_no_doubt():
+    def short_of_its_way(scene):
+        before = np.vstack([scene.q[:1], scene.q[:-1]])
+        return np.einsum("nik,nk->ni", scene.J, 4e-3 * (scene.q - before))
+
+    session = synthetic.session(extra=short_of_its_way)
+    share = np.median(np.linalg.norm(session.p_marker_in_station - LOADED.p_marker_in_station, axis=1))
+    assert share > 2e-3, "far more than the force moves it"
+    assert doubts(session) == ()
+
+
 def placed(turn: float, aside: float) -> Session:
     """A session as it would be with its station turned by turn, rad, about base_link, its reflector aside, m, on the tool."""
     R, R_tool = Rotation.from_rotvec([turn, 0.0, 0.0]), LOADED.robot.kinematics(LOADED.q).R_tool
