@@ -84,7 +84,8 @@ def _scaled(columns: Array, rows: IntArray) -> Array:
 
 def _under_load(scene: Scene) -> Array:
     """1 in the rows in which a process force acts, in all rows of an absolute session, else 0, (n, 1, 1)."""
-    acts = scene.load_case > 0 if scene.kind == "loaded" else np.ones(len(scene), dtype=bool)
+    relaxed = scene.kind == "loaded" and not scene.instruments.by_contact  # references bear no force
+    acts = scene.load_case > 0 if relaxed else np.ones(len(scene), dtype=bool)
     return np.asarray(acts[:, None, None], dtype=float)
 
 

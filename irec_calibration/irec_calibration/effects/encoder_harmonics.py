@@ -23,6 +23,7 @@ class EncoderHarmonics(Effect):
     )
     family = Family.ANGLE_ERROR
     cause = Cause.STATE
+    needs = ("tracker",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         # in a loaded session only errors far above those of a sound encoder can show

@@ -25,6 +25,7 @@ class GeometryError(Effect):
     family = Family.ANGLE_ERROR
     chosen_by_poses = True
     cause = Cause.STATE
+    needs = ("tracker",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         out = []

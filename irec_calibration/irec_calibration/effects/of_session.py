@@ -28,7 +28,7 @@ def scene_of(session: Session, *, observe: str = "marker") -> Scene:
     on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker]
     p_observed = marker_by_controller(session, kin) if observe == "marker" else session.p_tcp_in_base
     from_station = modelled = None
-    if observe == "marker":
+    if observe == "marker" and session.contact is None:
         R = np.stack([s.R_in_base for s in session.stations])[session.station]
         from_station = np.einsum("nij,nj->ni", R, session.p_marker_in_station)
         modelled = p_observed - np.array([s.xyz for s in session.stations])[session.station]

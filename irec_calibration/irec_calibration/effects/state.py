@@ -194,7 +194,8 @@ class Instruments:
     Attributes:
         station, marker: index into `stations` and `markers`, (n,).
         station_known, marker_known: False where the pose is an unknown of the session; all known where not given.
-        measured_from_station: vector from the station to the measured marker, (n, 3), m; None in predictions.
+        measured_from_station: vector from the station to the measured marker, (n, 3), m; None in predictions and without a
+            tracker.
         modelled_from_station: vector from the station to where the controller believes the marker, (n, 3), m; None in
             predictions.
         sensor_axis_in_tool: mounting axis of the force sensor, (3,).
