@@ -206,3 +206,19 @@ def test_a_controller_that_was_really_started_again_is_answered_from_zero(in_all
     assert max(talk.steps) <= STEP
     assert talk.session.sequence.sessions == 2
     np.testing.assert_allclose(talk.controller.held, FAR, atol=1e-6)
+
+
+@pytest.mark.parametrize("pause", [SHORTEST_PAUSE + 1, 2 * RESTART])
+def test_a_stranger_in_the_place_of_a_stopped_controller_can_not_be_told_and_costs_no_more_than_the_offset(pause):
+    """What docs/security.md says: the controller begins at zero, the bridge goes on with what the stranger has asked for."""
+    talk = Talk(Controller(False, 0), random.Random(1)).clean(200)
+    c = talk.controller
+    c.stop(pause, None, True)
+    while c.pause:
+        assert talk.receive(c.ipoc - 4 * c.pause, 0, talk.begin) is not None
+        talk.begin += PERIOD
+        c.pause -= 1
+    talk.steps.clear()
+    talk.clean(50)
+    assert talk.session.sequence.sessions == 1, "if this fails it can be told: say so in docs/security.md"
+    assert STEP < max(talk.steps) <= float(np.linalg.norm(FAR)) + STEP

@@ -88,3 +88,21 @@ def test_a_broken_file_named_in_the_environment_is_named_by_who_misses_its_effec
     assert find_effect("joint_torsion").id == "joint_torsion" and "joint_backlash" in known_effects()
     with pytest.raises(EffectError, match="'missing' is not known.*bad.py: ZeroDivisionError"):
         find_effect("missing")
+
+
+def test_a_package_that_is_installed_while_the_process_runs_is_found(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(tmp_path)
+    assert "late_effect" not in known_effects()
+    (tmp_path / "irec_late_plugin.py").write_text(MODULE.format(id="late_effect"))
+    about = tmp_path / "irec_late_plugin-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: irec_late_plugin\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(f"[{registry.GROUP}]\nlate_effect = irec_late_plugin:Sound\n")
+    assert "late_effect" in known_effects() and find_effect("late_effect") is known_effects()["late_effect"]
+    registry._load.cache_clear()
+
+
+def test_the_packages_are_looked_through_once_and_not_in_each_fit(monkeypatch):
+    known_effects()
+    monkeypatch.setattr(registry, "entry_points", lambda **_: pytest.fail("looked through again"))
+    assert "joint_torsion" in known_effects()
