@@ -8,6 +8,9 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from ..errors import IrecError
 from ..identification.identify import with_disc
 from ..model import Model
 from ..model.file import check_belongs, load_model
@@ -33,22 +36,26 @@ def configure_without_tracker(parser: argparse.ArgumentParser) -> None:
         help="do not read the marker: the disc on the tooling is the measured point (docs/without-tracker.md)",
     )
     parser.add_argument(
-        "--slip", type=float, default=SLIP_M, metavar="M", help=f"m by which the disc slips across, with it (default: {SLIP_M:g})"
+        "--slip", type=float, metavar="M", help=f"m by which the disc slips across, with --without-tracker (default: {SLIP_M:g})"
     )
     parser.add_argument(
         "--disc",
         type=float,
         nargs=2,
         metavar=("NORMAL", "LATERAL"),
-        help="N/m, stiffness of the disc as measured, with it (default: identified along)",
+        help="N/m, stiffness of the disc as measured, with --without-tracker (default: identified along)",
     )
 
 
 def as_read(args: argparse.Namespace, session: Session) -> Session:
-    """The session as `--without-tracker` says. SessionError: it can't be read so."""
+    """The session as `--without-tracker` says. IrecError: it can't be read so, or an option is left without it."""
     if not args.without_tracker:
+        for name in ("slip", "disc"):
+            if getattr(args, name) is not None:
+                raise IrecError(f"--{name} says how the session is read --without-tracker; give both or none")
         return session
-    return without_tracker(session, args.slip, disc=tuple(args.disc) if args.disc else None)
+    slip = SLIP_M if args.slip is None else args.slip
+    return without_tracker(session, slip, disc=tuple(args.disc) if args.disc else None)
 
 
 def starting_model(args: argparse.Namespace, session: Session) -> Model | None:
@@ -83,6 +90,9 @@ def plausible_session(args: argparse.Namespace) -> Session:
         ImplausibleSession: it can't be what it says, and `--accept-implausible` was not given.
     """
     session = read_session(args.session)
+    judged = session
+    if getattr(args, "without_tracker", False):  # what the tracker says is not read
+        judged = replace(session, p_marker_in_station=np.full_like(session.p_marker_in_station, np.nan))
     if not args.accept_implausible:
-        return check_plausible(session)
-    return replace(session, notes=(*session.notes, *(f"went on by --accept-implausible although {d}" for d in doubts(session))))
+        return replace(session, notes=check_plausible(judged).notes)
+    return replace(session, notes=(*session.notes, *(f"went on by --accept-implausible although {d}" for d in doubts(judged))))

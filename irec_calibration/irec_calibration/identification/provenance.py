@@ -48,6 +48,7 @@ def model_of(result: Fit, *, held_out: HeldOut | None = None, parent: str = "") 
             "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             **({"parent": parent} if parent else {}),
             **instruments(result),
+            **({"without_tracker": True} if session.contact is not None else {}),
             **({"held_at_zero": list(held)} if held else {}),
             **({"caution": GUESSED} if _rests_on_guesses(result) else {}),
         },

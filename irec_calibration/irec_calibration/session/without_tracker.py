@@ -81,6 +81,8 @@ def without_tracker(
     case = np.where(np.arange(len(found)) == reference, 0, found.load_case)
     _check_measured(found, reference, where)
     normal = float(np.hypot(_by_encoders(found, encoder_rad), found.noise.settling_m))
+    across = max(slip_m, normal)
+    notes.append(f"read without its tracker: displacements across tool0 z count {normal / across:.2g} times as much as along it")
     of_tcp = np.zeros(len(found), dtype=np.int64)
     where_tcp_is = found.p_tcp_in_base[reference]
     if disc is not None:
@@ -89,7 +91,7 @@ def without_tracker(
         found, load_case=case, p_marker_in_station=where_tcp_is, station=of_tcp,
         stations=(Station("tooling", known=True),), marker=of_tcp.copy(), markers=(Marker("disc"),),
         noise=replace(found.noise, tracker_m=normal, tracker_m_per_m=0.0, settling_m=0.0),
-        notes=tuple(notes), contact=Contact(normal, max(slip_m, normal), disc is not None),
+        notes=tuple(notes), contact=Contact(normal, across, disc is not None),
     )  # fmt: skip
 
 

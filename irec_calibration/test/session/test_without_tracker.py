@@ -186,6 +186,22 @@ def test_the_command_reads_a_session_in_which_no_marker_was_measured_at_all(tmp_
     assert "--without-tracker" in capsys.readouterr().err
 
 
+def test_what_a_broken_tracker_says_is_not_judged(tmp_path):
+    made = pressed(12, encoder=2e-6)
+    stuck = replace(made, p_marker_in_station=np.full((len(made), 3), 1000.0))
+    folder = write_table(stuck, tmp_path / "table")
+    assert main(["solve", str(folder), "-o", str(tmp_path / "m.yaml")]) == 1
+    assert main(["solve", str(folder), "--without-tracker", "-o", str(tmp_path / "m.yaml")]) == 0
+    assert load_model(tmp_path / "m.yaml").made["without_tracker"] is True
+
+
+@pytest.mark.parametrize("option", [["--slip", "1e-3"], ["--disc", "4e6", "1.5e6"]])
+def test_options_of_the_disc_without_it_are_refused(option, tmp_path, capsys):
+    folder = write_table(pressed(4), tmp_path / "table")
+    assert main(["solve", str(folder), *option, "-o", str(tmp_path / "m.yaml")]) == 2
+    assert "give both or none" in capsys.readouterr().err
+
+
 def test_the_command_says_why_it_can_not(tmp_path, capsys):
     folder = write_table(commanded(pressed(6)), tmp_path / "table")
     assert main(["solve", str(folder), "--without-tracker", "-o", str(tmp_path / "m.yaml")]) == 2
