@@ -7,7 +7,7 @@ gear play of 100 urad, a base that has come loose.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -47,17 +47,20 @@ class Change:
         return self.ageing.words.format(multiple * self.ageing.amount)
 
 
-def changes(terms: Sequence[Term], scene: Scene) -> tuple[Change, ...]:
+def changes(terms: Sequence[Term], scene: Scene, way: int | None = None) -> tuple[Change, ...]:
     """Every change that the rows of a scene could show; those of single axes first.
+
+    How an effect goes on its grids (over what range of torque play is taken up) nobody knows of a change that has not come yet.
 
     Args:
         terms: of the model in force.
         scene: rows whose marker is observed; n rows.
+        way: which of the values on the grids, see `ways`; None: those with which these rows show least of it.
     """
     in_axes: list[Change] = []
     others: list[Change] = []
     for effect, aged in _ageing(terms, scene):
-        columns = _columns(effect, terms, scene)
+        columns = _columns(effect, terms, scene, way)
         for parameter, ageing in aged:
             if parameter.name not in columns:
                 continue
@@ -66,6 +69,11 @@ def changes(terms: Sequence[Term], scene: Scene) -> tuple[Change, ...]:
             change = Change(effect.id, part, ageing, size * columns[parameter.name])
             (others if parameter.axis is None else in_axes).append(change)
     return (*in_axes, *others)
+
+
+def ways(terms: Sequence[Term], scene: Scene) -> int:
+    """How many ways there are, at the most, in which a change may go on the grids of its effect."""
+    return max([len(list(_on_grids(effect, scene))) for effect, _ in _ageing(terms, scene)], default=1)
 
 
 def never_shown(found: Sequence[Change], terms: Sequence[Term], scene: Scene) -> list[str]:
@@ -93,24 +101,25 @@ def _ageing(terms: Sequence[Term], scene: Scene) -> list[tuple[Effect, list[tupl
     return out
 
 
-def _columns(effect: Effect, terms: Sequence[Term], scene: Scene) -> dict[str, Array]:
-    """Displacement per unit of each linear parameter of an effect beside the other terms, (n, 3); none where it can't act.
+def _on_grids(effect: Effect, scene: Scene) -> Iterator[dict[str, Estimate]]:
+    grids = [p for p in effect.parameters(scene) if p.grid]
+    for values in product(*(p.grid for p in grids)):
+        yield {p.name: Estimate(v) for p, v in zip(grids, values, strict=True)}
 
-    How an effect goes on its grids (over what range of torque play is taken up) nobody knows of a change that has not come yet:
-    of the values on the grids those are taken with which the rows show least of it.
-    """
+
+def _columns(effect: Effect, terms: Sequence[Term], scene: Scene, way: int | None) -> dict[str, Array]:
+    """Displacement per unit of each linear parameter of an effect beside the other terms, (n, 3); none where it can't act."""
     others = [t for t in terms if t.effect.id != effect.id]
     try:
-        parameters = effect.parameters(prepared(others, scene))
-        grids = [p for p in parameters if p.grid]
-        ways = [
-            regressors([*others, Term(effect, {p.name: Estimate(v) for p, v in zip(grids, values, strict=True)})], scene)[-1]
-            for values in product(*(p.grid for p in grids))
-        ]
+        ready = prepared(others, scene)
+        parameters, on_grids = effect.parameters(ready), list(_on_grids(effect, ready))
+        if way is not None:
+            on_grids = [on_grids[way % len(on_grids)]]
+        blocks = [regressors([*others, Term(effect, estimates)], scene)[-1] for estimates in on_grids]
     except EffectError:
         return {}
     linear = [i for i, p in enumerate(parameters) if not p.grid]
-    block = min(ways, key=lambda way: float(np.linalg.norm(scene.change(way[:, :, linear]))))
+    block = min(blocks, key=lambda b: float(np.linalg.norm(scene.change(b[:, :, linear]))))
     return {parameters[i].name: block[:, :, i] for i in linear if np.any(block[:, :, i])}
 
 

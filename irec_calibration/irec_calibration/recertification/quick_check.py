@@ -11,7 +11,8 @@ showed. A cause that the model lacked already then is thus no change. Where pose
 visits of a pose is told from what comes again with it (`same_readings`): only the former becomes less with more visits. When the
 robot leaves a pose:
 
-* the robot has *changed* when the mean of the likelihood ratios of all changes, at several sizes, reaches 1/alpha. That mean is
+* the robot has *changed* when the mean of the likelihood ratios of all changes, in each way that they may go (play may be taken
+  up over little torque or over much) and at several sizes, reaches 1/alpha. That mean is
   a martingale where nothing has changed, so a false alarm has probability alpha at the most however often one looks (Ville);
 * it *passes* when the likelihood ratio of each change, at the size at which it must be found, is below beta / 2, or when after
   the last pose the estimate of each is so far below that size that a robot with it comes as low with probability beta / 2: a
@@ -30,13 +31,14 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp, ndtri
 
+from ..effects.scene import Scene
 from ..identification.identify import observe_with_force_noise
 from ..identification.observe import Observation
 from ..model import Term, regressors, total_displacement
 from ..session import Session
 from ..typing import Array, IntArray
 from .advice import with_advice
-from .changes import Change, changes
+from .changes import Change, changes, ways
 from .same_readings import Level, covariance_of_rows, level_of, places, same_readings
 from .station import with_stations_found
 
@@ -157,15 +159,24 @@ def _columns(terms: Sequence[Term], observation: Observation) -> Array:
 
 
 def loaded_columns(reference: Reference, lateral: float) -> tuple[Array, Array]:
-    """`Reference.columns`, (3 m, p), and the displacement by each of its changes, (3 m, changes), at the rows of the calibration
-    with the forces across the tool multiplied by `lateral`."""
+    """`Reference.columns`, (3 m, p), and the displacement by each of its changes in each way that it may go, (ways, 3 m,
+    changes), at the rows of the calibration with the forces across the tool multiplied by `lateral`."""
     o = reference.observation
     force = o.scene.force_in_tool * np.array([lateral, lateral, 1.0])
     loaded = replace(o, scene=o.scene.with_wrench(force, o.scene.torque_in_tool))
-    visible = {c.name for c in reference.changes}
-    found = [c for c in changes(reference.terms, loaded.scene) if c.name in visible]
-    columns = _columns(reference.terms, loaded)
-    return columns.reshape(3 * len(o.rows), -1), np.stack([loaded.of(c.displacement).ravel() for c in found], axis=1)
+    each_way = _each_way(reference, loaded.scene)
+    displacement = [np.stack([loaded.of(c.displacement).ravel() for c in way], axis=1) for way in each_way]
+    return _columns(reference.terms, loaded).reshape(3 * len(o.rows), -1), np.stack(displacement)
+
+
+def _each_way(reference: Reference, scene: Scene) -> list[list[Change]]:
+    """The changes of a reference at other rows, in its order, in each way that they may go."""
+    out = []
+    for way in range(ways(reference.terms, scene)):
+        found = {c.name: c for c in changes(reference.terms, scene, way)}
+        nothing = np.zeros((len(scene.q), 3))
+        out.append([found.get(c.name, replace(c, displacement=nothing)) for c in reference.changes])
+    return out
 
 
 def check(reference: Reference, session: Session, sizes: Mapping[str, float] | None = None, last: bool = False) -> QuickResult:
@@ -196,14 +207,16 @@ def check(reference: Reference, session: Session, sizes: Mapping[str, float] | N
         else:
             level = Level(told.scatter, max(told.lasting, level.lasting))
     covariance = _covariance(reference, now, B, level, same)
-    visible = {c.name for c in reference.changes}
-    looked_for = [c for c in changes(terms, now.scene) if c.name in visible]
+    each_way = _each_way(reference, now.scene)
+    looked_for = each_way[0]
     least = np.array([(sizes or {}).get(c.name, 1.0) for c in looked_for])
-    A = np.stack([now.of(c.displacement).ravel() for c in looked_for], axis=1) * least
+    A = np.concatenate([np.stack([now.of(c.displacement).ravel() for c in way], axis=1) * least for way in each_way], axis=1)
     WA = weighted(covariance, _station(now), A)
-    moved = np.linalg.norm(A.reshape(-1, 3, len(looked_for)), axis=1).max(axis=0)
-    visits = len(np.unique(places(now))), len(now.poses)
-    return _decide(looked_for, least, WA.T @ d, np.einsum("ij,ij->j", A, WA), moved / reference.tolerance, *visits, last)
+    moved = np.linalg.norm(A.reshape(-1, 3, A.shape[1]), axis=1).max(axis=0)
+    z, information, share = (
+        v.reshape(len(each_way), -1) for v in (WA.T @ d, np.einsum("ij,ij->j", A, WA), moved / reference.tolerance)
+    )
+    return _decide(looked_for, least, z, information, share, len(np.unique(places(now))), len(now.poses), last)
 
 
 def signal_to_noise(reference: Reference, session: Session, displacement: Array, repeats: float = 1.0) -> float:
@@ -244,20 +257,23 @@ def _decide(
     looked_for: Sequence[Change], least: Array, z: Array, information: Array, moved: Array, poses: int, visits: int, last: bool
 ) -> QuickResult:
     """Decide from the scores z and informations of the changes, and by what share of the tolerance they move the tool, each at
-    its size `least`."""
+    its size `least`, and in each way that it may go: (ways, changes)."""
     so_far = f"{visits} visits to {poses} pose{'s' if poses > 1 else ''}"
-    log_ratio = np.array([[k * z_ - 0.5 * k * k * i_ for k in SIZES] for z_, i_ in zip(z, information, strict=True)])
+    k = np.array(SIZES)[:, None, None]
+    log_ratio = k * z - 0.5 * k**2 * information  # (sizes, ways, changes)
     e_value = float(np.exp(min(logsumexp(log_ratio) - np.log(log_ratio.size), 700.0)))
-    ratio = {c.name: float(np.exp(min(r[0], 700.0))) for c, r in zip(looked_for, log_ratio, strict=True)}
-    times = np.clip(np.divide(z, information, out=np.zeros_like(z), where=information > 0), 0.0, None)
+    ratio = {c.name: float(np.exp(min(r, 700.0))) for c, r in zip(looked_for, log_ratio[0].max(axis=0), strict=True)}
+    by_way = logsumexp(log_ratio, axis=0)
+    likeliest = by_way.argmax(axis=0), np.arange(len(looked_for))
+    times = np.clip(np.divide(z, information, out=np.zeros_like(z), where=information > 0), 0.0, None)[likeliest]
     found = times * least
     size = {c.name: float(f) for c, f in zip(looked_for, found, strict=True)}
     named = {c.name: c for c in looked_for}
     words = {c.name: c.text(size[c.name]) for c in looked_for}
-    by_change = logsumexp(log_ratio, axis=1)
+    by_change = by_way[likeliest]
     order = np.argsort(-by_change)
     likely = [i for i in order if by_change[i] > by_change[order[0]] - np.log(20.0)]
-    like = tuple(looked_for[i].name for i in likely if times[i] * moved[i] >= NOTABLE)
+    like = tuple(looked_for[i].name for i in likely if times[i] * moved[likeliest][i] >= NOTABLE)
     if e_value >= 1.0 / FALSE_ALARM and poses >= FEWEST_TO_ALARM:
         looks = " or ".join(words[n] for n in like[:3])
         looks = f"It looks like: {looks}." if like else "By micrometres only: none of the changes looked for matters."
@@ -265,11 +281,9 @@ def _decide(
         text = with_advice(text, "run the full recalibration.")
         return QuickResult("changed", e_value, ratio, size, like, poses, text, named, words, visits)
     lowest = ndtri(MISSED / 2.0)  # of (estimate - size) / standard error, for a robot that has changed by just that size
-    excluded = {
-        c.name
-        for c, z_, i_ in zip(looked_for, z, information, strict=True)
-        if ratio[c.name] <= MISSED / 2.0 or (last and i_ > 0 and (z_ - i_) / np.sqrt(i_) <= lowest)
-    }
+    root = np.sqrt(np.maximum(information, 1e-300))
+    far_below = (log_ratio[0] <= np.log(MISSED / 2.0)) | (last & (information > 0) & ((z - information) / root <= lowest))
+    excluded = {c.name for c, out in zip(looked_for, far_below.all(axis=0), strict=True) if out}
     if poses >= FEWEST_POSES and set(ratio) <= excluded:
         text = f"The robot is as it was when it was calibrated ({so_far}). Nothing has to be done."
         return QuickResult("pass", e_value, ratio, size, (), poses, text, named, words, visits)

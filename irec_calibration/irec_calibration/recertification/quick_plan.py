@@ -5,7 +5,8 @@ The power to see a change at a set of visits S is the information that `quick_ch
 
     i = a' (s^2 Sigma_S + B_S P B_S' + N V N')^-1 a,
 
-so that what the calibration itself leaves open, and where the tracker stands, is taken into account. Poses are chosen one by
+so that what the calibration itself leaves open, and where the tracker stands, is taken into account; of the ways in which a
+change may go, the one that shows least there. Poses are chosen one by
 one, each for what the changes that are not yet seen well enough gain by it; then for each it is asked whether another is better.
 
 Each pose is measured several times in a row: pressing again takes half of the time of going to another pose, and what limits the
@@ -118,17 +119,22 @@ class _Power:
         self._known: dict[bytes, Array] = {}
 
     def of(self, times: IntArray) -> Array:
-        """Information at the sizes of `changes`, (changes,)."""
+        """Information at the sizes of `changes`, (changes,): of the way in which these visits show least of each.
+
+        Play that is taken up over a wide range of torque shows a little wherever the torque comes near zero, play that is
+        taken up at once only where the torque is turned; which of them comes nobody knows.
+        """
         key = times.tobytes()
         if key not in self._known:
             rows = np.concatenate([self._rows[i] for i in np.flatnonzero(times)])
             often = np.concatenate([np.full(len(self._rows[i]), times[i]) for i in np.flatnonzero(times)])
             at = (3 * rows[:, None] + np.arange(3)).ravel()
-            B, A = self._B[at], self._A[at]
+            B, A = self._B[at], np.concatenate(self._A[:, at], axis=1)
             # visits of one pose share what the calibration leaves open, not their noise
             noise = covariance_of_rows(self._level, self._own[np.ix_(rows, rows)], self._same[rows], often)
             covariance = np.kron(noise, np.eye(3)) + B @ self._P @ B.T
-            self._known[key] = np.einsum("ij,ij->j", A, weighted(covariance, self._N[at], A))
+            each_way = np.einsum("ij,ij->j", A, weighted(covariance, self._N[at], A))
+            self._known[key] = each_way.reshape(len(self._A), -1).min(axis=0)
         return self._known[key]
 
     def worth(self, times: IntArray) -> float:

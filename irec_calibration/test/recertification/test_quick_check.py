@@ -151,6 +151,23 @@ def test_larger_forces_across_the_tool_show_more() -> None:
     assert chosen.lateral == 1.25 and chosen.moved == plan_of(ref).moved, "what a change matters in production is the same"
 
 
+def test_visits_are_chosen_for_the_way_in_which_they_show_least_of_a_change() -> None:
+    """Play that is taken up over much torque shows a little at many poses, play that is taken up at once only at some."""
+    ref, _ = reference()
+    power = _Power(ref)
+    times = np.bincount(np.searchsorted(ref.observation.poses, plan_of(ref).poses), minlength=power.poses)
+    each = []
+    for way in range(len(power._A)):
+        single = _Power(ref)
+        single._A = power._A[way : way + 1]
+        each.append(single.of(times))
+    assert len(each) == 3, "of play; a softer axis has one"
+    np.testing.assert_allclose(power.of(times), np.min(each, axis=0))
+    spread = dict(zip([c.name for c in ref.changes], np.max(each, axis=0) / np.min(each, axis=0), strict=True))
+    assert all(s == pytest.approx(1.0) for name, s in spread.items() if "softer" in name)
+    assert max(s for name, s in spread.items() if "play" in name) > 1.05
+
+
 def test_visits_are_chosen_better_than_at_random() -> None:
     ref, _ = reference()
     power = _Power(ref)
