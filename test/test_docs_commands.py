@@ -25,6 +25,7 @@ ELSEWHERE = {
     "profile": "test_profile_command.py",
     "filter": "test_filter_command.py",
     "links": "test_links_command.py",
+    "course-filter": "test_course_filter_command.py",
     "workbench": "irec_calibration/test/workbench/test_browser.py",
     "init-cell": "test_own_cell.py",
     "show-cell": "test_own_cell.py",
