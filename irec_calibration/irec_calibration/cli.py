@@ -51,7 +51,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
-def _load(name: str) -> ModuleType:
+def command_module(name: str) -> ModuleType:
     """Module of a subcommand. Raises IrecError: it is of a package that is not installed."""
     whole = name if "." in name else f"irec_calibration.commands.{name}"
     try:
@@ -87,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         if name == wanted:
             try:
-                module = _load(module_name)
+                module = command_module(module_name)
             except IrecError as error:
                 print(f"irec {name}: error: {error}", file=sys.stderr)
                 return 2
