@@ -55,7 +55,11 @@ class Cell:
     def __init__(
         self, cell: CellFile, truth: Truth, seed: int = 0, settings: InstrumentSettings | None = None, period: float = PERIOD
     ) -> None:
-        """Stand at HOME in position control, rail at 0. period: of a step, s; servo and force controller bear 0.02."""
+        """Stand at HOME in position control, rail at 0.
+
+        Args:
+            period: of a step, s. Force control of a heavy robot bears 0.02, that of a light one PERIOD only.
+        """
         self.cell, self.chain = cell, cell.chain
         self.settings = settings or InstrumentSettings()
         self.period, self.time, self.mode = period, 0.0, POSITION
@@ -215,8 +219,7 @@ class Cell:
 
     def _make_conditions(self, force: Array) -> Conditions:
         on = self._process is not None or bool(force.any())
-        base_in_cell = (self._rail * self._rail_axis)[None]
-        return Conditions(force[None], np.array([self._rail]), self._heat.gears(self.time)[None], np.array([on]), base_in_cell)
+        return Conditions(force[None], np.array([self._rail]), self._heat.gears(self.time)[None], np.array([on]))
 
     def _switch_off_where_crushed(self) -> None:
         crushed = math.sqrt(float(self.arm.force @ self.arm.force)) > _COLLISION

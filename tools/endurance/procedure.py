@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hours of the procedure with real processes: `python tools/endurance/procedure.py [--hours 24] [--seconds S]`.
 
-Run after run through the nodes against the simulated cell, faster than real time, each with a recording of its own. So that a day
-of the cell takes less than an hour of an idle machine, the cell goes in steps of 20 ms, its topics come at 50 Hz and less, and it
-may be half a second ahead of the procedure (a force set point holds for 2 s there). Messages are of the same kinds as those of
-any cell, over the same middleware, by a simulated clock. Memory, handles and threads of procedure and driver are read every few
-seconds. Ends after so many hours of the cell or seconds of this machine, whichever comes first, and prints what grew, with
-confidence intervals, over the hours that were really run. A run that stopped early (a machine too busy for the time limits of the
-cell) is told and followed by the next. Exit 1 where something certainly grows, or where more runs stopped than came to their end.
+Run after run through the nodes against the simulated cell, faster than real time, each with a recording of its own. So that
+hours of the cell take minutes, the cell goes in steps of 20 ms, its topics come at 50 Hz and less, and it may be half a second
+ahead of the procedure (a force set point holds for 2 s there). Messages are of the same kinds as those of any cell, over the
+same middleware, by a simulated clock. Memory, handles and threads of procedure and driver are read every few seconds. Ends
+after so many hours of the cell or seconds of this machine, whichever comes first, and prints what grew, with confidence
+intervals, over the hours that were really run. A run that stopped early (a machine too busy for the time limits of the cell) is
+told and followed by the next. Exit 1 where something certainly grows, or where more runs stopped than came to their end.
 """
 
 from __future__ import annotations

@@ -214,7 +214,8 @@ def test_irec_plan_writes_poses_and_picture_and_prints_the_figures(tmp_path, cap
     out = tmp_path / "poses.yaml"
     assert main(["plan", str(CELLS / "afp.yaml"), "-n", "6", "--pool", "60", "-o", str(out)]) == 0
     printed = capsys.readouterr().out
-    for said in ("N = 6 poses by cover", "cover distance", "O1 =", "condition number", "predicted uncertainty", "60 accepted"):
+    figures = ("cover distance", "O1 =", "condition number", "predicted uncertainty", "60 accepted", "play shows where")
+    for said in ("N = 6 poses by cover", *figures):
         assert said in printed
     assert len(read_poses(out).poses) == 6
     assert out.with_suffix(".png").stat().st_size > 20_000

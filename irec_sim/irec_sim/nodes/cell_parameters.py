@@ -41,7 +41,7 @@ PARAMETERS = (
     P("truth_seed", 0, "draws the compliances and what a truth file leaves open"),
     P("seed", 1, "of all noise"),
     P("speed_factor", 1.0, "simulated seconds per real second", 1e-3, 999.0, settable=True),
-    P("period", PERIOD, "of a step; a longer one takes less of the machine, and no topic comes more often", 1e-3, 0.02, "s"),
+    P("period", PERIOD, "of a step; no topic comes more often; light robots need the default under force", 1e-3, 0.02, "s"),
     P("max_lead", 0.25, "simulated time that the cell may be ahead of its slowest follower", 1e-3, 100.0, "s"),
     P("rail_speed", 1.0, "velocity limit of the rail", 1e-3, 100.0, "m/s"),
     P("force_lease", LEASE.hold, "a force set point holds for so long unless it comes again; 0: for ever", 0.0, 60.0, "s"),
