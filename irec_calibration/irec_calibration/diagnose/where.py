@@ -8,7 +8,7 @@ share.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -159,7 +159,10 @@ def _sides(observation: Observation, predicted: Array) -> list[_Side]:
     if scene.kind == "loaded" and len(np.unique(before)) > 2:
         came = [session.case_name(int(j)) for j in before]
         out.append(_Side("order", "depends on the load case before", _by_label(came, tool), came, "{} before"))
-    return out
+    if observation.sees is None:
+        return out
+    # without a tracker the point is believed to stay: what seems to move it is the residual itself
+    return [replace(s, columns=observation.sees @ s.columns) for s in out if not s.name.endswith("displacement")]
 
 
 def _turned(v: Array) -> Array:

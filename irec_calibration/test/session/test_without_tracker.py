@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from irec_calibration.cli import main
+from irec_calibration.diagnose.where import views
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.live import LeftOut
 from irec_calibration.effects.of_session import scene_of
@@ -243,3 +244,11 @@ def test_improve_finds_the_play_of_a_gear_without_a_tracker(tmp_path, capsys):
     play = next(t for t in model.terms if t.effect.id == "joint_backlash").estimates["b_1"]
     assert abs(play.value - 2e-4) < 0.15 * 2e-4
     assert "--without-tracker --model" in capsys.readouterr().out
+
+
+def test_no_residual_is_said_to_be_along_a_displacement_of_a_point_that_stays():
+    held = without_tracker(pressed(12, encoder=2e-6, gap=2e-4))
+    fit = identify(held, default_terms(held))
+    predicted = fit.observation.y - fit.residual
+    names = {v.view for v in views(fit.observation, fit.residual, predicted)}
+    assert "base frame" in names and not {n for n in names if n.endswith("displacement")}
