@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from ..effects.traits import Family as Alike
 from .candidates import Option, try_option
 from .evidence import Ground
 from .explanation import Explanation, explain, implausible, remainder_of, without
@@ -21,8 +22,14 @@ def rivals_of(
 ) -> dict[str, tuple[tuple[str, float], ...]]:  # fmt: skip
     """Which other effects would do in the place of each added one, everything refitted.
 
+    Two laws of an axis' torque (play, stiffening, friction, counterbalance) are told apart by what is told apart otherwise
+    (`nats_to_separate`), not by what is preferred, and by a share of the name's evidence: gears follow none of them exactly.
+
     Args:
         near: added effect -> effects that were about as good when it came in, each with its explanation then.
+
+    Returns:
+        added effect -> others and the odds against each, nats; below `nats_to_prefer` the name is one of several.
     """
     out = {}
     by_id = {o.effect.id: o for o in found}
@@ -57,11 +64,28 @@ def rivals_of(
                 continue  # what has no name explains it there, not this effect
             # whether a reading stands out a little is asked beside both
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final)
-            if odds < settings.nats_to_separate:  # what has no name tells them apart no better than they do themselves
-                same.append((other, min(odds, final.named - one.named)))
+            raw = min(odds, final.named - one.named)
+            law = term.effect.family is Alike.TORQUE_LAW and other in alike
+            counts = as_they_count(raw, final.named - bare.named, law, settings)
+            # what has no name may tell them apart no better than they do themselves
+            if odds < settings.nats_to_separate or counts < settings.nats_to_prefer:
+                same.append((other, counts))
         if same:
             out[term.effect.id] = tuple(sorted(same, key=lambda t: t[1]))
     return out
+
+
+def as_they_count(odds: float, own: float, law: bool, settings: Settings) -> float:
+    """Odds of a name over a rival as they are held against `nats_to_prefer`, nats.
+
+    Args:
+        odds: as they are; own: evidence of the name over none in its place; law: both are laws of an axis' torque. Such a law has
+            the gear's form only nearly, and may win by as much as that loses.
+    """
+    if not law:
+        return odds
+    beyond = settings.nats_to_separate - settings.nats_to_prefer + settings.share_of_form * own
+    return max(odds - beyond, min(odds, 0.01))  # the likelier of two stays the likelier
 
 
 def _without_forms(one: Explanation, family: Family, forms: Forms, other: Explanation | None = None) -> float:
