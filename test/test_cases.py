@@ -6,6 +6,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,11 +14,11 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tools"))
 
-from case_parts import calibrated, learned  # noqa: E402
+from case_parts import calibrated, learned, left  # noqa: E402
 from case_parts.jobs import Case, Job, corrected, filters_of  # noqa: E402
 from case_parts.moving import moving_session  # noqa: E402
 from case_parts.story import courses_of  # noqa: E402
-from case_parts.table import Figures, figures, outside_bands, reduction  # noqa: E402
+from case_parts.table import Drawn, Figures, figures, outside_bands, reduction  # noqa: E402
 from irec_calibration.cell import read_cell  # noqa: E402
 from irec_calibration.identification.observe import observe  # noqa: E402
 from irec_calibration.model import EIGHTEEN_DOF, blank_model  # noqa: E402
@@ -81,9 +82,33 @@ def test_the_papers_own_correction_does_on_the_hard_plant_what_it_did_on_the_rea
     controller = corrected(cell.case, Job("18dof", COURSES[name], str(cell.case.out / "model_18dof.yaml")), cell.ways)
     tolerance = read_cell(cell.case.cell_path).tolerance
     before, after = (figures(d, tolerance) for d in (cell.uncorrected, drive(cell.sim, cell.hard, cell.ways, controller)))
-    assert outside_bands(name, before, after) == []
+    assert outside_bands(name, [before], [after]) == []
     assert controller.told()["active_share"] > 0.95  # the correction was in force, and no watchdog took it out
     assert controller.told()["findings"] == 0
+
+
+def test_a_band_is_judged_on_the_mean_of_draws_and_its_uncertainty() -> None:
+    within = Drawn("reduction of the maximum", "%", (64.5, 63.9, 57.3, 62.0, 65.3), (64.0, 76.0))
+    assert within.mean < 64.0 and not within.outside  # two standard errors reach the band
+    outside = replace(within, values=(61.9, 61.2, 54.9, 59.2, 60.0))
+    assert outside.outside and "mean of 5 draws, 54.9 to 61.9" in outside.told
+    assert replace(within, values=(63.9,)).outside  # one draw has no uncertainty
+    assert not replace(within, values=(64.1,)).outside
+
+
+def test_what_courses_leave_alike_is_told_from_the_others_and_not_from_the_course_itself() -> None:
+    rng, steps, courses = np.random.default_rng(4), 2000, 12
+    t = np.arange(steps) * PERIOD
+    counted = np.stack([(t > 0.3) & (t < 4.0 + 0.3 * i) for i in range(courses)], axis=1)
+    ends = np.array([t[np.flatnonzero(c)[-1]] for c in counted.T])
+    cut = 1e-4 * np.exp(-(((t[:, None] - ends + 0.25) / 0.05) ** 2))  # at the same time before the end of each
+    error = cut + rng.normal(0.0, 1e-5, cut.shape)
+    error[:, 3] += 5e-4  # of this course alone
+    told = left.common(SimpleNamespace(error=error, counted=counted))  # type: ignore[arg-type]
+    np.testing.assert_allclose(told[counted].max(), 1e-4 + 5e-4 / 11, rtol=0.15)
+    assert np.abs(told[:, 3]).max() < 1.2e-4  # nothing of its own
+    there = cut > 0.9e-4
+    assert error[there].mean() > 0.9e-4 and np.delete(np.where(there, error - told, 0.0), 3, axis=1).max() < 4e-5
 
 
 def test_a_cutter_follows_forces_below_the_arms_lowest_mode_only(machining: Calibrated) -> None:
@@ -202,8 +227,8 @@ def test_too_few_courses_to_learn_from_are_refused_with_what_to_do() -> None:
 
 def test_a_plant_out_of_its_bands_is_told() -> None:
     good, easy = Figures(0.57, 0.956, 0.1, 0.1, 0.0), Figures(0.004, 0.02, 0.0, 0.0, 1.0)
-    assert outside_bands("afp", good, Figures(0.061, 0.285, 0.05, 0.05, 1.0)) == []
-    told = outside_bands("afp", good, easy)
+    assert outside_bands("afp", [good], [Figures(0.061, 0.285, 0.05, 0.05, 1.0)]) == []
+    told = outside_bands("afp", [good], [easy])
     assert len(told) == 2 and "reduction of the mean is 99.3 %" in told[0]
 
 

@@ -8,13 +8,12 @@ import re
 import shlex
 import subprocess
 import sys
-from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 import yaml
-from irec_calibration.cli import COMMANDS, main
+from irec_calibration.cli import COMMANDS, command_module, main
 from workbench_server import write_hidden
 
 from irec_sim import cli as simulator
@@ -48,7 +47,7 @@ def test_every_irec_command_of_a_page_has_arguments_that_exist(page):
         assert words[1] in COMMANDS or words[1].startswith("-") or words[1] == "COMMAND", line
         if words[1] in COMMANDS:
             parser = argparse.ArgumentParser(prog=words[1], exit_on_error=False)
-            import_module(f"irec_calibration.commands.{COMMANDS[words[1]][0]}").configure(parser)
+            command_module(COMMANDS[words[1]][0]).configure(parser)
             parser.add_argument("--effects", action="append")
             try:
                 parser.parse_args(words[2:])

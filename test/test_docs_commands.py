@@ -25,6 +25,7 @@ ELSEWHERE = {
     "profile": "test_profile_command.py",
     "filter": "test_filter_command.py",
     "links": "test_links_command.py",
+    "course-filter": "test_course_filter_command.py",
     "workbench": "irec_calibration/test/workbench/test_browser.py",
     "init-cell": "test_own_cell.py",
     "show-cell": "test_own_cell.py",
@@ -66,15 +67,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory):
 
 @pytest.fixture(scope="module", autouse=True)
 def _one_analysis_for_all():
-    """The commands run as they are; the diagnosis behind them is computed once for each model of the one session."""
+    """The commands run as they are; the diagnosis behind them is computed once for each model and session."""
     running, improving = (import_module(f"irec_calibration.diagnose.{name}") for name in ("run", "improve"))
     original, kept = running.examine, {}
 
     def examine(session, model=None, *, progress=None, cancelled=None):
-        effects = model.effects if model else ()
-        if effects not in kept:
-            kept[effects] = original(session, model)
-        return kept[effects]
+        key = model.effects if model else (), len(session), session.contact is None  # without its tracker it is another session
+        if key not in kept:
+            kept[key] = original(session, model)
+        return kept[key]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(registry, "_registered", {})  # other tests read files that define the effect of the page too

@@ -9,12 +9,13 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from types import ModuleType
 
 from . import __version__
 from .commands.guidance import WELCOME, example, what_follows
 from .errors import Cancelled, ImplausibleSession, IrecError
 
-# name: (module below irec_calibration.commands, one line of help)
+# name: (module below irec_calibration.commands, or in full one of irec_correction, loaded only when asked for; one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("check", "everything that is wrong in cell, poses, session, model, truth or profile files"),
     "init-cell": ("init_cell", "write a commented cell file from what is known on the first day"),
@@ -41,12 +42,25 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "latency": ("latency", "how late the robot follows the force, from a recording"),
     "posture": ("posture", "how to turn the tool about its axis for the least deviation under the process"),
     "filter": ("filter", "a filter of the wrench that looks ahead, for the measured spectrum of the force"),
+    "course-filter": ("irec_correction.course_command", "a filter of each axis of the force, learnt on courses with the tracker"),
     "profile": ("profile", "the force that courses have in common, for the correction to look ahead"),
     "links": ("links", "what secondary encoders read without process, for the correction to take off"),
     "modes": ("modes", "modes of arm and head from a recorded tap or swept force"),
     "completion": ("completion", "code that makes your shell complete irec's commands and options"),
     "rsi-config": ("rsi_config", "KRC configuration and KRL example for RSI"),
 }
+
+
+def command_module(name: str) -> ModuleType:
+    """Module of a subcommand. Raises IrecError: it is of a package that is not installed."""
+    whole = name if "." in name else f"irec_calibration.commands.{name}"
+    try:
+        return import_module(whole)
+    except ModuleNotFoundError as error:
+        package = whole.partition(".")[0]
+        if error.name != package:
+            raise
+        raise IrecError(f"it is part of {package}, which is not installed: pip install ./{package}") from error
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -72,7 +86,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         if name == wanted:
-            module = import_module(f"irec_calibration.commands.{module_name}")
+            try:
+                module = command_module(module_name)
+            except IrecError as error:
+                print(f"irec {name}: error: {error}", file=sys.stderr)
+                return 2
             module.configure(sub)
             sub.add_argument(
                 "--effects", metavar="FILE", action="append", default=[], help="Python file with effects of your own"

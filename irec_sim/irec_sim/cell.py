@@ -219,7 +219,8 @@ class Cell:
 
     def _make_conditions(self, force: Array) -> Conditions:
         on = self._process is not None or bool(force.any())
-        return Conditions(force[None], np.array([self._rail]), self._heat.gears(self.time)[None], np.array([on]))
+        base_in_cell = (self._rail * self._rail_axis)[None]
+        return Conditions(force[None], np.array([self._rail]), self._heat.gears(self.time)[None], np.array([on]), base_in_cell)
 
     def _switch_off_where_crushed(self) -> None:
         crushed = math.sqrt(float(self.arm.force @ self.arm.force)) > _COLLISION

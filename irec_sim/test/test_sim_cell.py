@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from irec_sim.cell import FAULT, FORCE, POSITION, Cell
@@ -10,7 +12,7 @@ from irec_sim.observe import simulate
 from irec_sim.plant import Conditions, Plant
 from irec_sim.poses import Poses, spread_poses
 from irec_sim.session import make_schedule
-from irec_sim.truth import make_truth
+from irec_sim.truth import Hidden, make_truth
 
 AFP = read_cell("afp")
 ELASTIC = make_truth("afp", [], 0, spread=0.0, friction=0.0)
@@ -46,8 +48,13 @@ def _marker_in_base(cell):
     return p_station + R @ p - cell.joints()[1] * AFP.rail[0]
 
 
-def test_each_load_case_is_established_and_its_deflection_is_that_of_the_plant():
-    cell = _near()
+PULL = {"attach": [0.1, 0.0, -0.2], "anchor": [0.5, -0.5, 2.5], "link": 0, "tension": 200.0, "reach": 1.5, "stretch": 1.0}
+HOSE = replace(ELASTIC, hidden=(Hidden("external_force", {**PULL, "wrist": [0.0, 0.0]}),))
+
+
+@pytest.mark.parametrize("truth", [ELASTIC, HOSE], ids=["elastic", "hose to the floor beside the rail"])
+def test_each_load_case_is_established_and_its_deflection_is_that_of_the_plant(truth):
+    cell = _near(truth=truth)
     marker, controller = _marker_in_base(cell), cell.tcp()[0]
     lever = cell.tcp()[1] @ AFP.marker_in_tool0
     cell.control_force(AFP.load_cases[0])
@@ -55,7 +62,7 @@ def test_each_load_case_is_established_and_its_deflection_is_that_of_the_plant()
     rng = np.random.default_rng(0)
     schedule = make_schedule(AFP, Poses(*(x[:1] for x in (POSES.q, POSES.rail, POSES.p, POSES.R))), 0.0, rng)
     schedule.force[0, 1:] = AFP.load_cases
-    direct = simulate(AFP, ELASTIC.physics(), schedule).apparent_deflection(AFP)[0]
+    direct = simulate(AFP, truth.physics(), schedule).apparent_deflection(AFP)[0]
     for j, force in enumerate(AFP.load_cases):
         cell.set_force(force)
         _run(cell, 1.5)

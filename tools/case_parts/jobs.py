@@ -9,8 +9,9 @@ import json
 import os
 import pickle
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -233,6 +234,30 @@ def run_jobs(case: Case, jobs: Sequence[Job], say: Callable[[str], None], proces
                 say(f"~{len(left) - len(waiting)} of {len(left)} drives, {100 * share:.0f} %, {rest}")
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def meanwhile(case: Case, jobs: Sequence[Job]) -> Iterator[None]:
+    """Drive what depends on nothing that is still being measured, one after the other, as far as the processors are free.
+
+    What is not done at the end is left for `run_jobs`.
+    """
+    left = [j for j in jobs if not _done(case, j)]
+    os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_in_the_background)
+    futures = [pool.submit(run_job, case, job) for job in left]
+    try:
+        yield
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    for future in futures:
+        if not future.cancelled():
+            future.result()
+
+
+def _in_the_background() -> None:
+    die_with_parent()
+    os.nice(10)
 
 
 def _done(case: Case, job: Job) -> bool:

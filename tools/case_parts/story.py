@@ -21,15 +21,16 @@ from irec_sim.production.ways import Ways
 from . import calibrated, learned
 from .axes_filter import learnt_filter
 from .budget import Budget, budget_jobs
-from .jobs import Case, Job, load, run_jobs, ways_of
+from .jobs import Case, Job, load, meanwhile, run_jobs, ways_of
 from .left import Left, section, steady_job, what_is_left
 from .moving import improved_in_motion
 from .numbered import numbered
 from .page import LAST, NOT_KEPT, START, Found, write_report
 from .posture import posture_section
-from .table import Figures, figures, outside_bands, reduction
+from .table import Figures, figures, in_draws, reduction
 
 FEWEST = 4  # courses
+DRAWS = (1, 2, 3, 4)  # seeds of further drives: other unsteady force, other noise and drift, the same model
 ZEROING = 0.2  # s, in which the force sensor is zeroed before contact
 
 
@@ -70,8 +71,10 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
     rows = courses_of(case, len(ways.names))
     how = THROUGH_NODES if nodes else GENERATED
     say(f"calibrating on the hard plant at the planned poses, {how}")
+    draws = {seed: Job(f"without_{seed}", rows, seed=seed) for seed in DRAWS}
     if nodes:
-        session = calibrated.recorded_session(cell, hard.truth, case.truth_path, case.out / "session", say)
+        with meanwhile(case, [Job("without", rows), *draws.values(), Job("oracle", rows, "oracle")]):
+            session = calibrated.recorded_session(cell, hard.truth, case.truth_path, case.out / "session", say)
     else:
         session = calibrated.measured_session(sim, cell, hard.truth, case.out / "session")
     six, eighteen = calibrated.six(session, case.out), calibrated.eighteen(session, case.out)
@@ -94,15 +97,20 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
         CONTACT_DISC: Job("contact_disc", rows, models["contact_disc"]),
         "oracle": Job("oracle", rows, "oracle"),
     }
+    corrected = {seed: replace(whole["18 DOF"], name=f"18dof_{seed}", seed=seed) for seed in DRAWS}
     plan = budget_jobs(case, say) if budget else None
     say(f"driving {len(rows)} courses without and with correction")
-    run_jobs(case, [*whole.values(), *(plan.jobs if plan else [])], say, processes)
+    run_jobs(case, [*whole.values(), *draws.values(), *corrected.values(), *(plan.jobs if plan else [])], say, processes)
     say("learning on every second course: the arm in motion, latency, force profile, answer of arm and drives, filter")
-    ladder, told = _ladder(case, ways, rows, whole, say, processes)
+    ladder, told = _ladder(case, ways, rows, whole, list(draws.values()), say, processes)
     run_jobs(case, [*ladder.values(), steady_job(ladder[LAST])], say, processes)
     say("drawing the figures")
     left = what_is_left(case, ladder[LAST], cell.tolerance)
-    found = _collect(case, rows, whole, ladder, told, hard, plan.of(case, cell.tolerance) if plan else None, how)
+    before, after = ([figures(load(case, j)[0], cell.tolerance) for j in jobs] for jobs in (
+        (whole["without"], *draws.values()), (whole["18 DOF"], *corrected.values())
+    ))  # fmt: skip
+    drawn = in_draws(case.name, before, after)
+    found = _collect(case, rows, whole, ladder, told, hard, plan.of(case, cell.tolerance) if plan else None, how, drawn)
     found.numbered.insert(0, section(left, found.rungs[START]))
     report = write_report(found, case.out)
     _finish(case, found, left, say, report)
@@ -129,13 +137,13 @@ def _state(case: Case, state: str) -> None:
 
 
 def _ladder(
-    case: Case, ways: Ways, rows: tuple[int, ...], whole: dict[str, Job], say: Teller, processes: int
+    case: Case, ways: Ways, rows: tuple[int, ...], whole: dict[str, Job], again: list[Job], say: Teller, processes: int
 ) -> tuple[dict[str, Job], dict[str, object]]:
-    """Jobs on the held-out courses, each with what the one before has and one thing more; and what was learnt."""
+    """Jobs on the held-out courses, each with what the one before has and one thing more; and what was learnt.
+
+    again: drives without correction with other noise and other drift: the filters have many numbers to learn.
+    """
     train, held_out = np.arange(0, len(rows), 2), np.arange(1, len(rows), 2)
-    # driven four times more, with other noise and other drift: the filters have many numbers to learn
-    again = [Job(f"again_{seed}", tuple(int(rows[i]) for i in train), seed=seed) for seed in range(1, 5)]
-    run_jobs(case, again, say, processes)
     moving = improved_in_motion(case, whole["without"], train, say.shares())
     say(f"in motion: {' + '.join(moving.effects)}, {_um(moving)} um on held-out places of the training courses")
     drive, _ = load(case, whole["improved"])
@@ -146,7 +154,7 @@ def _ladder(
     driven = ways.only(np.array(rows))
     shaken, swept = learned.shaken_at(case, driven, train, processes)
     plain, shaped = learned.designs(case, force, noise, lead, shaken)
-    driven_without = [(load(case, whole["without"])[0], train), *((load(case, j)[0], np.arange(len(train))) for j in again)]
+    driven_without = [(load(case, j)[0], train) for j in (whole["without"], *again)]
     own, postures = learnt_filter(case, moving, driven_without, swept)
     table = case.out / "filter.csv"
     write_taps(table, TapTable(own.taps, postures, read_cell(case.cell_path).robot.joint_names))
@@ -185,7 +193,7 @@ def _taps(taps) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
     return tuple(float(f"{x:.9g}") for x in taps / taps.sum())
 
 
-def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None, how: str) -> Found:  # type: ignore[no-untyped-def]
+def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None, how: str, drawn) -> Found:  # type: ignore[no-untyped-def]
     tolerance = read_cell(case.cell_path).tolerance
     drives = {name: load(case, job) for name, job in whole.items()}
     table: dict[str, Figures] = {name: figures(d, tolerance) for name, (d, _) in drives.items()}
@@ -195,7 +203,6 @@ def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None, how: 
     if case.name == "machining":
         other = np.array(next(iter(ladder.values())).rows)
         sections.append(posture_section(case, ways_of(case, hard).only(other), told["profile"]))
-    outside = outside_bands(case.name, table["without"], table["18 DOF"])
     return Found(
         case.name,
         tolerance,
@@ -207,7 +214,7 @@ def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None, how: 
         told,
         hard,
         budget,
-        outside,
+        drawn,
         sections,
         how,
     )
@@ -227,6 +234,8 @@ def _finish(case: Case, found: Found, left: Left, say: Teller, report: Path) -> 
     print("  what is left on the last row of the ladder, mean and maximum:")
     for name, (mean, largest) in left.parts.items():
         print(f"  {name:50} {mean:8.3f} {largest:8.3f}")
+    for drawn in found.drawn:
+        print(f"  {drawn.told}")
     for text in found.outside:
         print(f"  this plant is outside the real cell's bands: {text}")
     summary = {
@@ -236,8 +245,10 @@ def _finish(case: Case, found: Found, left: Left, say: Teller, report: Path) -> 
         "table": {n: asdict(f) for n, f in found.table.items()},
         "ladder": {n: asdict(f) for n, f in found.rungs.items()},
         "outside_bands": found.outside,
+        "draws": {d.name: d.values for d in found.drawn},
         "last_rung_reduction": reduction(start, found.rungs[LAST]),
         "left_mm": left.parts,
+        "left_without_common_mm": (left.own.mean, left.own.max),
         "budget_mm": found.budget.parts if found.budget else None,
         "wall_s": round(time.monotonic() - say.begun, 1),
     }

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,17 +82,52 @@ def reduction(before: Figures, after: Figures) -> tuple[float, float, float]:
     return tuple(100.0 * (1.0 - getattr(after, k) / getattr(before, k)) for k in ("mean", "max", "std"))  # type: ignore[return-value]
 
 
-def outside_bands(case: str, before: Figures, after: Figures) -> list[str]:
-    """What of a plant without and with the paper's own 18-DOF correction lies outside the bands; empty where nothing does."""
-    paper, cut = PAPER[case], reduction(before, after)
-    checks = (
-        ("mean before correction", before.mean, paper.before_mean, "mm"),
-        ("maximum before correction", before.max, paper.before_max, "mm"),
-        ("reduction of the mean", cut[0], paper.mean_reduction, "%"),
-        ("reduction of the maximum", cut[1], paper.max_reduction, "%"),
-    )
+@dataclass(frozen=True)
+class Drawn:
+    """A figure in several draws of what is unsteady (force, noise, drift), and the real cell's band of it."""
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    band: tuple[float, float]
+
+    @property
+    def mean(self) -> float:
+        return float(np.mean(self.values))
+
+    @property
+    def uncertain(self) -> float:
+        """Two standard errors of the mean; 0 where there is one draw."""
+        n = len(self.values)
+        return 2.0 * float(np.std(self.values, ddof=1)) / math.sqrt(n) if n > 1 else 0.0
+
+    @property
+    def outside(self) -> bool:
+        """The mean is outside of the band by more than it is uncertain."""
+        return not self.band[0] - self.uncertain <= self.mean <= self.band[1] + self.uncertain
+
+    @property
+    def told(self) -> str:
+        low, high = self.band
+        drawn = (
+            f" +- {self.uncertain:.2g} (mean of {len(self.values)} draws, {min(self.values):.3g} to {max(self.values):.3g})"
+            if len(self.values) > 1
+            else ""
+        )
+        return f"{self.name} is {self.mean:.3g}{drawn} {self.unit}, the real cell's band is {low:g} to {high:g} {self.unit}"
+
+
+def in_draws(case: str, before: Sequence[Figures], after: Sequence[Figures]) -> list[Drawn]:
+    """What the bands are about, of a plant without and with the paper's own 18-DOF correction; one of each per draw."""
+    paper, cuts = PAPER[case], [reduction(b, a) for b, a in zip(before, after, strict=True)]
     return [
-        f"{name} is {value:.3g} {unit}, the real cell's band is {low:g} to {high:g} {unit}"
-        for name, value, (low, high), unit in checks
-        if not low <= value <= high
+        Drawn("mean before correction", "mm", tuple(b.mean for b in before), paper.before_mean),
+        Drawn("maximum before correction", "mm", tuple(b.max for b in before), paper.before_max),
+        Drawn("reduction of the mean", "%", tuple(c[0] for c in cuts), paper.mean_reduction),
+        Drawn("reduction of the maximum", "%", tuple(c[1] for c in cuts), paper.max_reduction),
     ]
+
+
+def outside_bands(case: str, before: Sequence[Figures], after: Sequence[Figures]) -> list[str]:
+    """What of these draws of a plant lies outside the bands; empty where nothing does."""
+    return [drawn.told for drawn in in_draws(case, before, after) if drawn.outside]

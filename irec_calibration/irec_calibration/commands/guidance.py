@@ -67,6 +67,11 @@ EXAMPLES: dict[str, tuple[str, str]] = {
     "posture": ("irec posture model.yaml SESSION cell.yaml", "predicted deviation turn by turn, and what hinders a turn"),
     "filter": ("irec filter course_*.mcap -o filter.csv", "filter.csv for filter.file of the correction"),
     "profile": ("irec profile course_*.mcap -o profile.csv", "profile.csv for preview.file of the correction; preview.slack"),
+    "course-filter": (
+        "irec course-filter model.yaml cell.yaml course_*.mcap --dry dry_*.mcap --swept sweep_*.mcap -o filter.csv",
+        "filter.csv for filter.file of the correction",
+    ),
+    "links": ("irec links dry.mcap -o links.csv", "links.csv for links.file of the correction"),
     "modes": ("irec modes tap_left.mcap tap_right.mcap", "frequency, damping and share of each mode, posture by posture"),
     "tool-load": ("irec tool-load turning.mcap -o tool_load.yaml", "mass, centre of mass, bias; parameters for the nodes"),
     "rsi-config": ("irec rsi-config --address 192.168.1.10 -o rsi", "rsi/: Ethernet configuration, KRL example, README"),

@@ -26,6 +26,7 @@ class RecordedCourse:
         names: of the joints; q: (k, n), rad; share: of the way, 0 .. 1, (k,); R_tool: tool0 in base_link, (k, 3, 3).
         path: columns along, across, along the tool's z axis as far as it is square to the path, in base_link, (k, 3, 3).
         force: in tool0, (k, 3), N; zero rows where the recording holds no wrench.
+        stamp: s; p: TCP by the controller in base_link, (k, 3), m.
     """
 
     names: tuple[str, ...]
@@ -35,6 +36,8 @@ class RecordedCourse:
     path: Array
     force: Array
     period: float
+    stamp: Array
+    p: Array
 
     def along_path(self) -> Array:
         """Force in the axes of the path, (k, 3), N."""
@@ -116,7 +119,7 @@ def _sampled(file: Path, table: dict[str, tuple[Array, Array]], names: tuple[str
         raise RecordingError(f"{file}: the tool's z axis lies along the path; its force can't be told along and across the path")
     out /= size
     path = np.stack([along, np.cross(out, along), out], axis=2)
-    return RecordedCourse(names, q[part], way / way[-1], R[part], path, force[part], period)
+    return RecordedCourse(names, q[part], way / way[-1], R[part], path, force[part], period, t[part], p[part])
 
 
 def _turned(R: Array, v: Array) -> Array:

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a course that was driven without correction to what `course_filter.learn` takes: what the model predicts for each axis of
+the force, and how far that would have moved the TCP."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from irec_calibration.typing import Array
+
+from .course_filter import DrivenCourse, moved_by
+from .deflection import Deflection
+from .filters import Filter
+from .fir import nearness
+
+_APART = 50  # samples between two places at which the model is asked for its slopes
+_STEP = 30.0  # N, by which the force is changed for that
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Postures (m, joints), rad, and the answer of the TCP to an offset at each (`course_filter.impulse`)."""
+
+    postures: Array
+    impulses: Sequence[Array]
+
+
+@dataclass(frozen=True)
+class DrivenPart:
+    """Samples of a course.
+
+    Attributes:
+        q: (k, joints), rad; force: in tool0 as the filter will get it, (k, 3), N.
+        moved: deviation of the TCP in base_link, (k, 3), m.
+        counts: direction that counts, unit, in base_link, (k, 3). used: samples to learn from, (k,). rail: m.
+    """
+
+    q: Array
+    force: Array
+    moved: Array
+    counts: Array
+    used: Array
+    rail: float = 0.0
+
+
+def passed(stages: Sequence[Filter], force: Array) -> Array:
+    """Forces (k, 3), N, as they leave these stages."""
+    if not stages:
+        return force
+    out = np.zeros((len(force), 6))
+    for k, one in enumerate(force):
+        sample = np.concatenate([one, np.zeros(3)])
+        for stage in stages:
+            sample = stage.step(sample)
+        out[k] = sample
+    return np.asarray(out[:, :3])
+
+
+def driven_course(deflection: Deflection, part: DrivenPart, answers: Answers, postures: Array, period: float) -> DrivenCourse:
+    """What is learnt from; postures: that have taps of their own, (m, joints), rad."""
+    sent = _by_axis(deflection, part)
+    near, impulses = nearness(answers.postures, part.q), list(answers.impulses)
+    moved = np.stack([(moved_by(impulses, near, sent[:, a]) * part.counts).sum(axis=1) for a in range(3)], axis=1)
+    # what the springs' curves make of the force beyond the sum over its axes passes whatever the taps are
+    beyond = moved_by(impulses, near, _predicted(deflection, part, period) - sent.sum(axis=1))
+    deviation = ((part.moved - beyond) * part.counts).sum(axis=1)
+    return DrivenCourse(moved, deviation, sent, nearness(postures, part.q), part.used)
+
+
+def _predicted(deflection: Deflection, part: DrivenPart, period: float) -> Array:
+    """Predicted deflection along a course, (k, 3), m."""
+    deflection.reset()
+    still = np.zeros(3)
+    return np.array([deflection(a, f, still, period, part.rail)[0].copy() for a, f in zip(part.q, part.force, strict=True)])
+
+
+def _by_axis(deflection: Deflection, part: DrivenPart) -> Array:
+    """Predicted deflection by each axis of the force alone, about the force that there is, (k, 3 axes, 3), m."""
+    q, force = part.q, part.force
+    at = np.unique(np.r_[np.arange(0, len(q), _APART), len(q) - 1])
+    slope = np.empty((len(at), 3, 3))
+    still = np.zeros(3)
+    deflection.reset()
+    for j, k in enumerate(at):
+        about = force[max(0, k - _APART) : k + _APART].mean(axis=0)
+        for a in range(3):
+            d = _STEP * np.eye(3)[a]
+            up = deflection(q[k], about + d, still, 0.0, part.rail)[0].copy()
+            slope[j, a] = (up - deflection(q[k], about - d, still, 0.0, part.rail)[0]) / (2.0 * _STEP)
+    t = np.arange(len(q))
+    C = np.stack([np.interp(t, at, slope[:, a, p]) for a in range(3) for p in range(3)], axis=1).reshape(-1, 3, 3)
+    return np.asarray(C * force[:, :, None])
