@@ -146,9 +146,15 @@ def table_move(q: Array, rail: float, length: float, speed: float) -> Move:
 
 
 def _cubic(table: Array, k: int, u: float) -> Array:
-    """Catmull-Rom interpolation between rows k and k + 1; beyond the ends the table goes on as a parabola."""
-    a, b = table[k], table[k + 1]
-    before = table[k - 1] if k > 0 else 3 * a - 3 * b + table[k + 2]
-    after = table[k + 2] if k + 2 < len(table) else 3 * b - 3 * a + table[k - 1]
+    """Catmull-Rom interpolation between rows k and k + 1; beyond its ends the table goes on as a cubic (3 rows: parabola)."""
+    a, b, n = table[k], table[k + 1], len(table)
+    if k > 0:
+        before = table[k - 1]
+    else:
+        before = 4 * a - 6 * b + 4 * table[k + 2] - table[k + 3] if n > 3 else 3 * a - 3 * b + table[k + 2]
+    if k + 2 < n:
+        after = table[k + 2]
+    else:
+        after = 4 * b - 6 * a + 4 * table[k - 1] - table[k - 2] if n > 3 else 3 * b - 3 * a + table[k - 1]
     m0, m1 = (b - before) / 2, (after - a) / 2
     return a + u * (m0 + u * (3 * (b - a) - 2 * m0 - m1 + u * (2 * (a - b) + m0 + m1)))

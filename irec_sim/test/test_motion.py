@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from irec_sim.cellfile import read_cell
 from irec_sim.course import plan_course
@@ -78,6 +78,7 @@ def test_a_joint_move_beyond_a_limit_is_refused_with_its_name() -> None:
 
 @settings(max_examples=15, deadline=None)
 @given(st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.tuples(*[st.floats(-0.2, 0.2)] * 3))
+@example((0.0, 0.0, -0.125), (0.125, -0.1875, 0.0))  # was 1.4 um beside it, just before its end
 def test_a_straight_move_stays_within_a_micrometre_of_its_line(shift: tuple[float, ...], turn: tuple[float, ...]) -> None:
     pose = forward(AFP.chain, AFP.home[None])
     p, R = pose.p_tcp[0], pose.R_tool[0]
