@@ -12,6 +12,7 @@ from irec_calibration.errors import PlanError
 from irec_calibration.poses import plan as plan_module
 from irec_calibration.poses.plan import make_plan
 from irec_calibration.poses.pool import generate_pool
+from irec_calibration.poses.store import read_poses
 from irec_calibration.poses.turning import SHARE, exchanged, turned, wanted
 
 AXIS = 1  # carries the arm
@@ -65,6 +66,12 @@ def test_a_plan_has_poses_that_turn_each_axis_which_can_be_turned(cell, pool, pl
     assert len(set(with_them.chosen.tolist())) == POSES
     if method == "cover":
         assert with_them.figures["cover_distance_m"] < 1.2 * without.figures["cover_distance_m"]
+
+
+def test_the_poses_that_are_shipped_turn_every_axis_that_the_tooling_lets_them_turn(cell, pool):
+    q = np.array([pose.q for pose in read_poses(cell.poses_path).poses])
+    can, have = (turned(cell, pool.q) > SHARE).any(axis=0), (turned(cell, q) > SHARE).sum(axis=0)
+    assert (have[can] >= 3).all(), dict(zip(cell.robot.joint_names, have, strict=True))
 
 
 def test_cover_keeps_its_promise_with_poses_that_it_is_given(plan):
