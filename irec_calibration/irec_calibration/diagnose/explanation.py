@@ -11,7 +11,7 @@ from ..effects import Axes, Evidence
 from ..model import Term
 from .candidates import Trial, supported
 from .family import Family
-from .forms import NO_FORMS, Forms
+from .forms import NO_FORMS, Forms, bends
 from .priors import FACTORS
 from .remainder import Part, Remainder, grow
 from .shape import refit, reshaped
@@ -97,11 +97,20 @@ def without(start: Explanation, one: Explanation, effect_id: str, family: Family
         return replace(start, remainder=max(rest, start.remainder, key=lambda r: r.gained))
     terms = tuple(t for t in one.study.terms if t.effect.id != effect_id)
     rest_study = study_of(one.study.observation, terms)
+    bent = bends(one.term(effect_id), one.study.ready)
+    # what bends the same curve was shaped beside the one taken out
+    rest_study = reshaped(rest_study, [t.effect.id for t in terms if bends(t, one.study.ready) & bent])
     with_it, bare = (s.bench.posterior(s.base) for s in (one.study, rest_study))
     lost = with_it.log_evidence - log(len(FACTORS)) - bare.log_evidence
     added = tuple(t for t in rest_study.terms if t.effect.id in one.ids)
     rest = remainder_of(rest_study, family, one.remainder.parts)
     return Explanation(added, rest_study, one.named - min(lost, one.study.bench.saved(bare.chi2, with_it.chi2)), rest)
+
+
+def bent_by_others(one: Explanation, effect_id: str) -> frozenset[int]:
+    """Axes whose curve of angle over torque an effect bends, and another added one too."""
+    others = [bends(t, one.study.ready) for t in one.added if t.effect.id != effect_id]
+    return bends(one.term(effect_id), one.study.ready).intersection(frozenset().union(*others))
 
 
 def implausible(one: Explanation, effect_id: str) -> str:

@@ -44,3 +44,8 @@ def forms_of(term: Term, scene: Scene) -> Forms:
         return NO_FORMS
     own = term.effect.parameters(scene)
     return Forms(frozenset(p.axis for p in own if p.axis is not None and p.name in term.estimates))
+
+
+def bends(term: Term, scene: Scene) -> frozenset[int]:
+    """Axes of which an effect bends the curve of angle over torque, whatever was before."""
+    return frozenset() if "order" in term.effect.needs else forms_of(term, scene).axes

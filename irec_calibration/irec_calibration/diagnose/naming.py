@@ -14,7 +14,7 @@ from ..effects.traits import Family as Alike
 from ..identification.validation import gain
 from ..typing import Array
 from .evidence import Ground
-from .explanation import Explanation, everywhere, implausible, in_one_pose, remainder_of, without
+from .explanation import Explanation, bent_by_others, everywhere, implausible, in_one_pose, remainder_of, without
 from .family import Family
 from .form_errors import evidence_beside
 from .forms import NO_FORMS, Forms, forms_of
@@ -60,12 +60,15 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
 
     An effect that every robot has needs evidence of its own; against structures it may be as weak as what is not told apart.
 
-    The general law of an axis' torque is no rival of an effect that is a form of it: it stays out on both sides. So does a drift
-    of another form, and a link that tilts instead of an axis that turns, unless it explains more than what is not told apart.
+    The general law of an axis' torque is no rival of an effect that is a form of it: it stays out on both sides. Where another
+    effect bends the curve of that axis already, it is one: gears follow neither exactly, and the second may only mend the first.
+    A drift of another form, and a link that tilts instead of an axis that turns, is no rival unless it explains more than what is
+    not told apart.
     A curve of few coefficients has a cause's form only nearly: a share of what the nonparametric structures explain counts for
     them.
     """
     forms = forms_of(one.term(effect_id), one.study.ready)
+    forms = replace(forms, axes=forms.axes - bent_by_others(one, effect_id))
 
     def beside(forms: Forms) -> tuple[float, float]:
         """Evidence of structures in its place, and of those that are left beside it."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from ..effects.traits import Family as Alike
 from .candidates import Option, try_option
 from .evidence import Ground
-from .explanation import Explanation, explain, implausible, remainder_of, without
+from .explanation import Explanation, explain, implausible, remainder_of, reshaped_again, without
 from .family import Family
 from .forms import Forms, forms_of
 from .settings import Settings
@@ -54,6 +54,9 @@ def rivals_of(
             one = explain(start, bare, trial, family)
             if one is None or implausible(one, other):  # no value that can be is no rival
                 continue
+            law = term.effect.family is Alike.TORQUE_LAW and other in alike
+            if law:  # as the shapes of the model with the name were found beside each other, so are these
+                one = reshaped_again(start, one, family)
             if then is not None and set(then.ids) == set(one.ids):
                 # beside it the shapes of the others may have been better than beside the one named
                 one = max(one, then, key=lambda e: e.log_evidence)
@@ -65,7 +68,6 @@ def rivals_of(
             # whether a reading stands out a little is asked beside both
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final)
             raw = min(odds, final.named - one.named)
-            law = term.effect.family is Alike.TORQUE_LAW and other in alike
             counts = as_they_count(raw, final.named - bare.named, law, settings)
             # what has no name may tell them apart no better than they do themselves
             if odds < settings.nats_to_separate or counts < settings.nats_to_prefer:

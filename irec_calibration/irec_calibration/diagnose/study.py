@@ -136,16 +136,19 @@ def form_evidence(asked: Study, completed: Study) -> float:
 def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     """As `prepare`, for an observation that exists already."""
     scene, terms = observation.scene, completed(terms, observation)
-    width = _widths(terms, scene)
-    system = linearise(fit(terms, observation, prior_width=width).terms, observation)
+    own = _widths(terms, scene)
+    system = linearise(fit(terms, observation, prior_width=own).terms, observation)
     owners = [terms[i].effect.id for i in system.owner]
     believed = NoisePrior(scale=1.0 / observation.whiten.level)
     bench = Bench(system.b, system.pose.astype(np.int64), believed)
+    width = _beside_softening(own, system.parameters, system.scale)
     block = Block(system.A, system.lower, system.upper, width)
     for rows in choices([terms[i].effect for i in system.owner]):
-        widths = block.width * rows
-        block = replace(block, width=widths[int(np.argmax(bench.evidence_over_widths(block, widths)))])
-    width = block.width
+        tried = own * rows
+        widths = np.array([_beside_softening(w, system.parameters, system.scale) for w in tried])
+        best = int(np.argmax(bench.evidence_over_widths(block, widths)))
+        own, width = tried[best], widths[best]
+        block = replace(block, width=width)
     result = fit(terms, observation, prior_width=width)
     system = linearise(result.terms, observation)
     ready = apply_wrench_effects(result.terms, scene)
@@ -159,6 +162,22 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
         system.scale,
         Bench(system.b, system.pose.astype(np.int64), believed),
     )
+
+
+def _beside_softening(width: Array, parameters: Sequence[Parameter], scale: Array) -> Array:
+    """Prior widths with those of compliances from which other parameters take something away (`Parameter.takes_from`).
+
+    What is known beforehand is about how soft a loaded axis is, c + a with a <= 0. So c has the width of both.
+    """
+    if not any(p.takes_from for p in parameters):
+        return width
+    out = width.copy()
+    at = {p.name: i for i, p in enumerate(parameters)}
+    for i, p in enumerate(parameters):
+        if p.takes_from in at:
+            j = at[p.takes_from]
+            out[j] = np.hypot(out[j], width[i] * scale[i] / scale[j])
+    return out
 
 
 def _widths(terms: Sequence[Term], scene: Scene) -> Array:

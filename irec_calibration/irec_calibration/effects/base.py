@@ -44,6 +44,8 @@ class Parameter:
         width: standard deviation of the prior about 0, in multiples of `scale`.
         axis: joint that the parameter belongs to, counted from 0; None: to none.
         first: where a session can't determine all parameters of the effect, those with `first` are chosen before the others.
+        takes_from: compliance of an axis (`c_3`) that this parameter, 0 or less, takes away as the axis is loaded. The prior of
+            that compliance is meant for a loaded axis; beside this parameter it is as much wider as this one may be large.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Parameter:
     width: float = 1.0
     axis: int | None = None
     first: bool = False
+    takes_from: str = ""
 
     @property
     def prior_width(self) -> float:

@@ -7,12 +7,14 @@ import numpy as np
 
 from ..typing import Array
 from .base import Effect, Parameter
+from .joint_backlash import WIDEST
 from .live import ColumnLaw, LiveForm, Tick, drives
 from .scales import rated_torque, typical_compliance
 from .scene import Scene
 from .traits import Family
 
 FRACTIONS_OF_RATED = (0.05, 0.15, 0.4, 1.5)
+PRIOR_WIDTH = 2.0  # multiples of the scale: a soft zone of 5 % of the rated torque winds up as far as play of the same prior
 
 
 class JointStiffening(Effect):
@@ -21,7 +23,8 @@ class JointStiffening(Effect):
     physics = (
         "A gear is soft at small torque and stiffens as more teeth carry: extra deflection J_k [g(tau_k + tau_g,k) - "
         "g(tau_g,k)] with g(x) = a_k (x - x_0 s(x / x_0)), a_k <= 0: cubic below x_0, above it a piecewise line (s = tanh) or, "
-        "with slow 1, a stiffness that goes on growing (s = asinh). The compliance never rises with the torque. Missing, the "
+        "with slow 1, a stiffness that goes on growing (s = asinh). The compliance never rises with the torque; what is softer "
+        "over less than 3 % of the rated torque is play. Missing, the "
         "residual is odd and nonlinear in the torque of one axis, shifted by its gravity preload."
     )
     family = Family.TORQUE_LAW
@@ -37,13 +40,15 @@ class JointStiffening(Effect):
                 upper=0.0,
                 plausible=(-50.0 * scale[k], 0.0),
                 group=f"axis {k + 1}",
+                width=PRIOR_WIDTH,
                 axis=int(k),
+                takes_from=f"c_{k + 1}",
             )
             for k in np.flatnonzero(scene.driven)
         )
         return (
             *axes,
-            Parameter("x_0", "share of rated torque", 0.15, 0.01, 3.0, start=0.15, grid=FRACTIONS_OF_RATED),
+            Parameter("x_0", "share of rated torque", 0.15, WIDEST, 3.0, start=0.15, grid=FRACTIONS_OF_RATED),
             Parameter("slow", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0)),
         )
 

@@ -13,7 +13,7 @@ import synthetic
 from irec_calibration.diagnose import start_terms
 from irec_calibration.diagnose.candidates import options, try_option
 from irec_calibration.diagnose.evidence import Ground
-from irec_calibration.diagnose.explanation import Explanation, explain
+from irec_calibration.diagnose.explanation import Explanation, bent_by_others, explain, without
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.forms import forms_of
 from irec_calibration.diagnose.held_out import held_out, only_good_poses
@@ -89,6 +89,47 @@ def test_a_shape_is_found_again_where_it_was_wrong() -> None:
     width = after.terms[-1].estimates["w"].value
     assert width < 0.02
     assert after.bench.posterior(after.base).log_evidence > before.bench.posterior(before.base).log_evidence
+
+
+def law(effect: str, axes: tuple[int, ...], **values: float) -> Term:
+    name = {"joint_backlash": "b", "joint_stiffening": "a", "joint_hysteresis": "h"}[effect]
+    known = {f"{name}_{k}": Estimate(0.0) for k in axes} | {n: Estimate(v) for n, v in values.items()}
+    return Term(find_effect(effect), known)
+
+
+def test_two_laws_bend_one_curve_where_they_share_an_axis_and_friction_bends_none() -> None:
+    found = study()
+    added = (
+        law("joint_backlash", (2, 4), w=1e-3), law("joint_stiffening", (4, 5), x_0=0.1, slow=0.0),
+        law("joint_hysteresis", (1, 2, 3, 4, 5, 6), r=0.03),
+    )  # fmt: skip
+    one = Explanation(added, found, 0.0, grow(found.bench, family_of(found), found.base))
+    assert bent_by_others(one, "joint_backlash") == bent_by_others(one, "joint_stiffening") == {3}
+    assert bent_by_others(one, "joint_hysteresis") == frozenset()
+
+
+def test_what_is_left_of_two_laws_of_one_axis_finds_its_shape_again() -> None:
+    found = study(play_of_axis_4)
+    family = family_of(found)
+    rest = grow(found.bench, family, found.base)
+    second = law("joint_stiffening", (4,), x_0=0.1, slow=0.0)
+    both = study_of(found.observation, (*found.terms, law("joint_backlash", (4,), w=0.03), second))
+    one = Explanation(both.terms[-2:], both, 0.0, rest)
+    bare = without(Explanation((), found, 0.0, rest), one, "joint_stiffening", family)
+    assert bare.ids == ("joint_backlash",)
+    assert bare.added[0].estimates["w"].value < 0.02, "beside the second law it was wide"
+
+
+def test_a_compliance_from_which_stiffening_takes_something_away_has_room_for_it() -> None:
+    found = study()
+    both = study_of(found.observation, (*found.terms, law("joint_stiffening", (4,), x_0=0.1, slow=0.0)))
+    named = [(o, p.name) for o, p in zip(both.owners, both.parameters, strict=True)]
+    width = dict(zip(named, both.base.width * both.scale, strict=True))
+    scale = dict(zip(named, both.scale, strict=True))
+    level = width["joint_torsion", "c_3"] / scale["joint_torsion", "c_3"]  # that of all axes
+    loaded = level * scale["joint_torsion", "c_4"]
+    assert width["joint_torsion", "c_4"] == pytest.approx(np.hypot(loaded, width["joint_stiffening", "a_4"]))
+    assert width["joint_torsion", "c_4"] > loaded
 
 
 def test_a_remainder_from_known_products_is_the_same_as_one_from_all_equations() -> None:

@@ -64,6 +64,12 @@ def axis_1_is_soft_near_zero(scene: Scene) -> Array:
     return gear(scene, 1, 600.0, 5e-7)
 
 
+def axis_4_softer_in_four_steps(scene: Scene) -> Array:
+    # steps end at 2, 5, 8 and 12 % of the rated torque: most of it where a gear would have play
+    steps = ((50.0, 5e-6), (120.0, 1.8e-6), (200.0, 0.8e-6), (300.0, 0.4e-6))
+    return sum((gear(scene, 4, until, more) for until, more in steps), np.zeros((len(scene), 3)))
+
+
 def axis_3_stiffens_a_little(scene: Scene) -> Array:
     torque, gravity = scene.tau[:, 2], scene.tau_gravity[:, 2]
     return turned(scene, 3, -1.2e-14 * ((torque + gravity) ** 3 - gravity**3))
@@ -190,3 +196,10 @@ def test_an_effect_without_axes_has_no_parts() -> None:
 def test_an_effect_that_another_one_makes_needless_is_not_named_beside_it() -> None:
     # play fits a gear that is soft near zero torque before the gear's own effect is tried at the right softness
     assert diagnosis(axis_1_is_soft_near_zero, 5).verdict.effects == ("joint_stiffening",)
+
+
+@pytest.mark.slow
+def test_a_gear_that_is_soft_over_a_small_range_is_not_said_to_have_play() -> None:
+    said = diagnosis(axis_4_softer_in_four_steps).verdict
+    assert "joint_backlash" not in said.effects
+    assert said.effects == ("joint_stiffening",) or ("joint_backlash", "joint_stiffening") in said.one_of, said.text

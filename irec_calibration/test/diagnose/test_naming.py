@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from irec_calibration.diagnose import naming
-from irec_calibration.diagnose.forms import NO_FORMS
+from irec_calibration.diagnose.forms import NO_FORMS, Forms
 from irec_calibration.diagnose.settings import SETTINGS
 
 
@@ -75,10 +75,34 @@ def held(monkeypatch: pytest.MonkeyPatch, own: float, in_place: float, left: flo
     bare: Any = SimpleNamespace(named=0.0, study=None, remainder=SimpleNamespace(gained=in_place))
     monkeypatch.setattr(naming, "forms_of", lambda *_: NO_FORMS)
     monkeypatch.setattr(naming, "remainder_of", lambda *_: SimpleNamespace(gained=in_place))
+    monkeypatch.setattr(naming, "bent_by_others", lambda *_: frozenset())
     monkeypatch.setattr(naming, "everywhere", lambda *_: False)
     monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
     family: Any = None
     return naming.odds_of(one, bare, "joint_backlash", family, SETTINGS) - naming.needed(one, "joint_backlash", SETTINGS)
+
+
+def test_the_general_law_of_an_axis_is_a_rival_where_another_effect_bends_its_curve_already(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    left_out: list[frozenset[int]] = []
+
+    def remainder_of(study: object, family: object, parts: object, forms: Forms = NO_FORMS) -> SimpleNamespace:
+        left_out.append(forms.axes)
+        return SimpleNamespace(gained=0.0)
+
+    rest = SimpleNamespace(gained=0.0, parts=(), bad_rows=())
+    term = SimpleNamespace(effect=SimpleNamespace(family=None))
+    one: Any = SimpleNamespace(named=50.0, study=SimpleNamespace(ready=None), term=lambda _: term, remainder=rest)
+    bare: Any = SimpleNamespace(named=0.0, study=None, remainder=rest)
+    monkeypatch.setattr(naming, "forms_of", lambda *_: Forms(axes=frozenset({1, 3})))
+    monkeypatch.setattr(naming, "bent_by_others", lambda *_: frozenset({3}))
+    monkeypatch.setattr(naming, "remainder_of", remainder_of)
+    monkeypatch.setattr(naming, "everywhere", lambda *_: False)
+    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
+    family: Any = None
+    naming.odds_of(one, bare, "joint_backlash", family, SETTINGS)
+    assert left_out and set(left_out) == {frozenset({1})}
 
 
 @pytest.mark.parametrize("rows", [0, 5])
