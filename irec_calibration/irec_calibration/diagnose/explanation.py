@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import log
+from math import isfinite, log
 
 from ..effects import Axes, Evidence
 from ..model import Term
@@ -16,6 +16,8 @@ from .priors import FACTORS
 from .remainder import Part, Remainder, grow
 from .shape import refit, reshaped
 from .study import Study, study_of
+
+SURELY = 2.0  # standard errors by which a value lies beyond what is physically likely, for certain
 
 
 @dataclass(frozen=True)
@@ -114,12 +116,18 @@ def bent_by_others(one: Explanation, effect_id: str) -> frozenset[int]:
 
 
 def implausible(one: Explanation, effect_id: str) -> str:
-    """The first value of an effect that can't be, with its limit, in words; empty where there is none."""
+    """The first value of an effect that can't be, with its limit, in words; empty where there is none.
+
+    A value that the session knows by itself has to lie beyond the limit for certain: by two standard errors.
+    """
     term = one.term(effect_id)
     for p in term.effect.parameters(one.study.ready):
         low, high = p.plausible_range
-        value = term.estimates[p.name].value if p.name in term.estimates else low
-        if not low - 1e-12 <= value <= high + 1e-12:
+        if p.name not in term.estimates:
+            continue
+        value, se = term.estimates[p.name].value, term.estimates[p.name].se
+        beyond = SURELY * se if term.estimates[p.name].identified and isfinite(se) else 0.0
+        if not low - beyond - 1e-12 <= value <= high + beyond + 1e-12:
             limit = low if value < low else high
             unit = "" if p.unit == "1" else f" {p.unit}"
             return f"{p.name} = {value:.3g}{unit} is beyond what is physically likely ({limit:.3g}{unit})"

@@ -13,7 +13,7 @@ import synthetic
 from irec_calibration.diagnose import start_terms
 from irec_calibration.diagnose.candidates import options, try_option
 from irec_calibration.diagnose.evidence import Ground
-from irec_calibration.diagnose.explanation import Explanation, bent_by_others, explain, without
+from irec_calibration.diagnose.explanation import Explanation, bent_by_others, explain, implausible, without
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.forms import forms_of
 from irec_calibration.diagnose.held_out import held_out, only_good_poses
@@ -89,6 +89,15 @@ def test_a_shape_is_found_again_where_it_was_wrong() -> None:
     width = after.terms[-1].estimates["w"].value
     assert width < 0.02
     assert after.bench.posterior(after.base).log_evidence > before.bench.posterior(before.base).log_evidence
+
+
+@pytest.mark.parametrize(("se", "alone", "can_be"), [(0.004, True, True), (0.002, True, False), (0.004, False, False)])
+def test_a_value_that_may_lie_within_what_is_likely_is_not_beyond_it(se: float, alone: bool, can_be: bool) -> None:
+    found = study()
+    high = find_effect("tracker_scale").parameters(found.ready)[0].plausible_range[1]
+    term = Term(find_effect("tracker_scale"), {"s": Estimate(high + 0.006, se, identified=alone)})
+    one = Explanation((term,), found, 0.0, grow(found.bench, family_of(found), found.base))
+    assert (implausible(one, "tracker_scale") == "") == can_be
 
 
 def law(effect: str, axes: tuple[int, ...], **values: float) -> Term:
