@@ -16,6 +16,7 @@ from .candidates import Option, Trial, options, try_option
 from .evidence import Ground
 from .explanation import Explanation, explain, reshaped_again
 from .family import Family, family_of
+from .forms import bends, forms_of
 from .naming import proven, pruned, refused
 from .remainder import grow
 from .rivals import Check, rivals_of
@@ -119,7 +120,27 @@ def _step(
         one = explain(start, current, trial, family)
         if one is not None:
             out.append(one)
-    return sorted(out, key=lambda e: -e.log_evidence)
+    return laws_by_themselves(sorted(out, key=lambda e: -e.log_evidence))
+
+
+def laws_by_themselves(tried: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations, best first, in which laws that bend the curve of one axis change places where one explains more by itself.
+
+    Beside each, the general law of that axis mends its form; with it the poorer law may be the likelier one.
+    """
+
+    def bent(one: Explanation) -> frozenset[int]:
+        return bends(one.added[-1], one.study.ready)
+
+    def by_itself(one: Explanation) -> float:
+        forms = forms_of(one.added[-1], one.study.ready)
+        return one.named + sum(p.log_evidence for p in one.remainder.parts if not forms.has(p.structure))
+
+    places = [i for i, e in enumerate(tried) if any(bent(e) & bent(o) for o in tried if o is not e)]
+    out = list(tried)
+    for i, one in zip(places, sorted((tried[i] for i in places), key=lambda e: -by_itself(e)), strict=True):
+        out[i] = one
+    return out
 
 
 def _screened(current: Explanation, chosen: Sequence[Trial], family: Family, settings: Settings) -> list[Trial]:

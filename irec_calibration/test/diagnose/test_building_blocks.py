@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import start_terms
+from irec_calibration.diagnose.build import laws_by_themselves
 from irec_calibration.diagnose.candidates import options, try_option
 from irec_calibration.diagnose.evidence import Ground
 from irec_calibration.diagnose.explanation import Explanation, bent_by_others, explain, implausible, without
@@ -19,7 +20,7 @@ from irec_calibration.diagnose.forms import forms_of
 from irec_calibration.diagnose.held_out import held_out, only_good_poses
 from irec_calibration.diagnose.lasting import lasts
 from irec_calibration.diagnose.parts import without_columns
-from irec_calibration.diagnose.remainder import grow
+from irec_calibration.diagnose.remainder import Part, grow
 from irec_calibration.diagnose.shape import reshaped
 from irec_calibration.diagnose.study import Study, prepare, study_of
 from irec_calibration.effects import find_effect
@@ -115,6 +116,19 @@ def test_two_laws_bend_one_curve_where_they_share_an_axis_and_friction_bends_non
     one = Explanation(added, found, 0.0, grow(found.bench, family_of(found), found.base))
     assert bent_by_others(one, "joint_backlash") == bent_by_others(one, "joint_stiffening") == {3}
     assert bent_by_others(one, "joint_hysteresis") == frozenset()
+
+
+def test_of_two_laws_of_one_axis_that_which_explains_more_by_itself_is_asked_first() -> None:
+    found = study(play_of_axis_4)
+    family = family_of(found)
+    none = replace(grow(found.bench, family, found.base), parts=())
+    general = next(s for s in family.structures if s.law_of == 3)
+    mended = Explanation((law("joint_stiffening", (4,)),), found, 20.0, replace(none, parts=(Part(general, 1.0, 100.0),)))
+    better = Explanation((law("joint_backlash", (4,)),), found, 90.0, none)
+    other_axis = Explanation((law("joint_stiffening", (5,)),), found, 20.0, mended.remainder)
+    friction = Explanation((law("joint_hysteresis", (4,)),), found, 20.0, mended.remainder)
+    assert laws_by_themselves([mended, friction, better]) == [better, friction, mended]
+    assert laws_by_themselves([other_axis, better]) == [other_axis, better]
 
 
 def test_what_is_left_of_two_laws_of_one_axis_finds_its_shape_again() -> None:
