@@ -42,13 +42,16 @@ workbench: build $(HIDDEN_SESSION)/session.yaml ## a web page on a session with 
 	@$(RUN) irec workbench $(HIDDEN_SESSION) --cell config/cells/afp.yaml -o out/workbench
 
 CASE_ARGS ?=
-.PHONY: case-afp case-machining
+.PHONY: case-afp case-machining case-tables
 
 case-afp: build ## the paper's first case study on a plant as hard as the real one, beside its Table 1 (about 8 min; CASE_ARGS=--every 4)
 	@$(RUN) python tools/case.py afp $(CASE_ARGS)
 
 case-machining: build ## the same for the second case study, roughing of a dome
 	@$(RUN) python tools/case.py machining $(CASE_ARGS)
+
+case-tables: build ## the tables of docs/case-studies.md, from both cases once they are done
+	@$(RUN) python tools/case.py tables
 
 demo-year: build ## three years of one robot: certificates, an ageing gear, a loosened base, roll back (about 8 min)
 	@$(RUN) python tools/demo_year.py

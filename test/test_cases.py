@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import json
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,12 +15,13 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tools"))
 
-from case_parts import calibrated, learned, left  # noqa: E402
+from case_parts import calibrated, ends, learned, left, tables  # noqa: E402
 from case_parts.jobs import Case, Job, corrected, filters_of  # noqa: E402
 from case_parts.moving import moving_session  # noqa: E402
 from case_parts.story import courses_of  # noqa: E402
 from case_parts.table import Drawn, Figures, figures, outside_bands, reduction  # noqa: E402
 from irec_calibration.cell import read_cell  # noqa: E402
+from irec_calibration.errors import IrecError  # noqa: E402
 from irec_calibration.identification.observe import observe  # noqa: E402
 from irec_calibration.model import EIGHTEEN_DOF, blank_model  # noqa: E402
 from irec_calibration.model.file import save_model  # noqa: E402
@@ -128,6 +130,31 @@ def test_a_sensor_without_noise_and_lag_shows_no_teeth_in_its_samples(machining:
     np.testing.assert_allclose(shown.reading[:, 0], in_tool, atol=1.0)
 
 
+def test_a_sensor_that_is_zeroed_in_the_air_reads_nothing_before_contact(afp: Calibrated) -> None:
+    """Its bias has drifted by some newtons since it was zeroed last."""
+    before = slice(5, 40)  # 0.16 s
+    raw, zeroed = (np.abs(d.reading[before].mean(axis=0)) for d in (afp.uncorrected, afp.uncorrected.zeroed))
+    assert raw.max() > 4.0 and zeroed.max() < 1.5
+
+
+def test_fibre_placement_is_judged_at_the_papers_rate_and_roughing_at_every_step(afp: Calibrated, machining: Calibrated) -> None:
+    driven = afp.uncorrected
+    assert driven.judged.sum() / driven.counted.sum() == pytest.approx(100.0 * PERIOD, rel=0.01)
+    at = np.flatnonzero(driven.judged[:, 0])
+    assert set(np.diff(at)) == {2, 3} and not np.any(driven.judged & ~driven.counted)
+    np.testing.assert_array_equal(machining.uncorrected.judged, machining.uncorrected.counted)
+    assert figures(driven, 3e-4).max == 1e3 * np.abs(driven.error[driven.judged]).max()
+
+
+@pytest.mark.parametrize("name", ["afp", "machining"])
+def test_the_tracker_keeps_what_its_data_sheet_permits_at_most(name: str) -> None:
+    """15 um + 6 um/m at 4 m; taken as three standard deviations."""
+    case = Case(name, Path())
+    tracker = read_hard(case.truth_path, read_sim_cell(case.cell_path)).tracker
+    assert tracker is not None
+    assert 3.0 * np.hypot(tracker.noise, tracker.slow) <= 15e-6 + 4.0 * 6e-6
+
+
 def test_secondary_encoders_leave_the_structure_to_the_model_and_less_error(afp: Calibrated) -> None:
     """The joint angles behind the gears hold friction, play and creep already."""
     cell = read_cell(afp.case.cell_path)
@@ -168,7 +195,7 @@ def test_a_model_of_the_arm_in_motion_foretells_other_courses_better_than_one_of
     left = np.zeros(2)
     for rows, others in (((0, 2), (1, 3)), ((1, 3), (0, 2))):
         train, other = (
-            moving_session(afp.sim.chain, afp.uncorrected, np.array(r), afp.session, afp.case.out / f"moving_{rows[0]}_{r[0]}")
+            moving_session(afp.sim.chain, [afp.uncorrected], np.array(r), afp.session, afp.case.out / f"moving_{rows[0]}_{r[0]}")
             for r in (rows, others)
         )
         observation = observe(read_session(other))
@@ -181,9 +208,9 @@ def test_a_model_of_the_arm_in_motion_foretells_other_courses_better_than_one_of
 def test_each_step_of_the_ladder_takes_the_mean_down_on_courses_that_it_was_not_learnt_from(afp: Calibrated) -> None:
     rows, lead = (8, 9, 10, 11), 0.033
     ways = make_ways(afp.sim, afp.hard.process).only(np.array(rows))
-    dry = drive(afp.sim, afp.hard, ways)
+    dry = drive(afp.sim, afp.hard, ways).zeroed
     train, held = np.array([0, 2]), np.array([1, 3])
-    session = moving_session(afp.sim.chain, dry, train, afp.session, afp.case.out / "ladder")
+    session = moving_session(afp.sim.chain, [dry], train, afp.session, afp.case.out / "ladder")
     save_model(
         diagnose.solved(read_session(session), blank_model([*EIGHTEEN_DOF, "joint_backlash"]))[0], afp.case.out / "ladder.yaml"
     )
@@ -195,7 +222,7 @@ def test_each_step_of_the_ladder_takes_the_mean_down_on_courses_that_it_was_not_
     found = design(force, 1.0 / PERIOD, lead, noise, compliance=3e-6, acceleration=0.17)
     jobs = [Job("standing", some, str(afp.case.out / "model_18dof.yaml"))]
     jobs.append(Job("moving", some, str(afp.case.out / "ladder.yaml")))
-    jobs.append(replace(jobs[-1], tare=0.2))
+    jobs.append(replace(jobs[-1], zeroed=True))
     jobs.append(replace(jobs[-1], profiles=str(table), ahead=lead + 0.005, slack=2.0 * profile.spread))
     jobs.append(replace(jobs[-1], ahead=lead, taps=tuple((found.taps / found.taps.sum()).tolist())))
     left = []
@@ -247,3 +274,42 @@ def test_each_cause_of_a_hard_plant_can_be_switched_off(name: str) -> None:
     for cause in CAUSES:
         assert repr(without(hard, cause)) != repr(hard), cause
     assert without(hard, *CAUSES).truth.hidden == ()
+
+
+def test_assumptions_of_a_plant_have_other_ends_and_the_shipped_one_keeps_to_its_ranges(tmp_path: Path) -> None:
+    case = Case("afp", tmp_path)
+    sim = read_sim_cell(case.cell_path)
+    shipped = read_hard(case.truth_path, sim)
+    told = {name: ends.at_end(case, name) for name in ends.ENDS}
+    hard = {name: read_hard(c.truth_path, sim) for name, c in told.items()}
+    assert repr(hard["as it is"]) == repr(shipped)
+    assert len({repr(h) for h in hard.values()}) == len(ends.ENDS)
+    assert len({c.out for c in told.values()}) == len(ends.ENDS)
+    narrow, wide = (h.truth.physics().plant.backlash for h in (shipped, hard["play A1 0.29, A4 and A5 0.87 mrad"]))
+    for joint, least, most in ((1, 0.3, 1.0), (4, 1.0, 3.0), (5, 1.0, 3.0)):  # arc minutes, full width
+        width = 2.0 * np.array([narrow[joint - 1], wide[joint - 1]]) / ends.ARC_MINUTE
+        np.testing.assert_allclose(width, [least, most], rtol=0.01)
+
+
+def test_tables_are_told_from_summaries_and_refused_before_a_case_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = Case("machining", tmp_path)
+    with pytest.raises(IrecError, match="run make case-machining first"):
+        tables.print_tables([case], 1)
+    row = asdict(Figures(0.6, 2.0, 0.3, 0.3, 0.5))
+    after = asdict(Figures(0.06, 0.5, 0.1, 0.1, 1.0))
+    drawn = Drawn("reduction of the mean", "%", (86.0, 88.0), (80.0, 87.0))
+    names = ("18 DOF", tables.CONTACT, tables.CONTACT_DISC)
+    summary = {
+        "calibrated": "through the nodes: x", "draws": [asdict(drawn)], "table": {"without": row, **dict.fromkeys(names, after)},
+        "ladder": {"first": after, tables.START: row},
+    }  # fmt: skip
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    monkeypatch.setattr(tables, "_generated", lambda *_: ([drawn], ["80.0 %, 70.0 %"] * 3))
+    tables.print_tables([case], 1)
+    lines = capsys.readouterr().out.splitlines()
+    assert "| roughing, through the nodes | 87.0 +- 2.0 % |" in lines
+    assert "| roughing, through the nodes | 90.0 %, 75.0 % | 90.0 %, 75.0 % | 90.0 %, 75.0 % |" in lines
+    assert "| roughing, generated | 80.0 %, 70.0 % | 80.0 %, 70.0 % | 80.0 %, 70.0 % |" in lines
+    assert "| first | 90.0 %, 75.0 % |" in lines

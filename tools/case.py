@@ -5,6 +5,7 @@
     python tools/case.py afp --every 4       only every fourth course
     python tools/case.py afp --no-nodes      calibration session generated directly, without ROS
     python tools/case.py afp --costs         what each cause of the hard plant costs alone
+    python tools/case.py tables              the tables of docs/case-studies.md, once both cases are done
 
 Results go to out/case-afp: report.html, summary.json, session/, models, drives/.
 """
@@ -20,6 +21,7 @@ from pathlib import Path
 from case_parts.costs import print_costs
 from case_parts.jobs import ROOT, Case
 from case_parts.story import run_case
+from case_parts.tables import CALLED, print_tables
 from irec_calibration.errors import IrecError
 from irec_sim.errors import SimError
 
@@ -27,8 +29,10 @@ from irec_sim.errors import SimError
 def main() -> int:
     """0: done and within the real cell's bands; 1: done, outside of them; 2: not possible; 130: interrupted."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("case", choices=("afp", "machining"))
-    parser.add_argument("--out", type=Path, help="folder for results (default: out/case-NAME)")
+    parser.add_argument("case", choices=("afp", "machining", "tables"))
+    parser.add_argument(
+        "--out", type=Path, help="folder for results (default: out/case-NAME); tables: that holds both (default: out)"
+    )
     parser.add_argument("--every", type=int, default=1, help="only every n-th course (default: all)")
     parser.add_argument("--processes", type=int, default=2, help="drives at the same time (default: 2)")
     parser.add_argument("--fresh", action="store_true", help="begin anew, whatever the folder holds")
@@ -38,8 +42,12 @@ def main() -> int:
     args = parser.parse_args()
     for number in (signal.SIGINT, signal.SIGTERM):  # also where SIGINT was ignored by who started this
         signal.signal(number, signal.default_int_handler)
-    case = Case(args.case, (args.out or ROOT / "out" / f"case-{args.case}").resolve(), max(1, args.every))
+    out = ROOT / "out"
+    case = Case(args.case, (args.out or out / f"case-{args.case}").resolve(), max(1, args.every))
     try:
+        if args.case == "tables":
+            print_tables([Case(name, (args.out or out).resolve() / f"case-{name}") for name in CALLED], args.processes)
+            return 0
         if args.fresh:
             shutil.rmtree(case.out, ignore_errors=True)
         case.out.mkdir(parents=True, exist_ok=True)

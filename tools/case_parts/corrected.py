@@ -22,13 +22,13 @@ BEFORE = 0.7  # s that the correction is in force before a course begins
 
 @dataclass(frozen=True)
 class Setup:
-    """A configuration of the correction: model file, settings, filters; tare: s at the begin of a course, over which the force
-    sensor is zeroed (service `~/bias` of can_ft_node), 0: it is not."""
+    """A configuration of the correction: model file, settings, filters; zeroed: the force sensor is zeroed in the air before each
+    course (service `~/bias` of can_ft_node)."""
 
     model: Path
     settings: CorrectionSettings = field(default_factory=CorrectionSettings)
     filters: FilterSettings = field(default_factory=FilterSettings)
-    tare: float = 0.0
+    zeroed: bool = False
 
 
 class Corrected:
@@ -51,13 +51,17 @@ class Corrected:
             self.chains.append(chain)
         self.states: Counter[State] = Counter()
         self._started = False
-        self._zeroing = round(setup.tare / settings.period)  # samples that are left
-        self._bias, self._zeroed = np.zeros((rows, 6)), round(setup.tare / settings.period)
+        self._zeroed, self._bias = setup.zeroed, np.zeros((rows, 6))
+
+    def zero(self, reading: Array) -> None:
+        """As `irec_sim.production.runner.Zeroes`."""
+        if self._zeroed:
+            self._bias[:, :3] = reading
 
     def step(self, now: float, wrench: Array, q: Array, rail: Array) -> Array:
         """As `irec_sim.production.runner.Controller`."""
         now += 10.0
-        wrench = self._tared(wrench)
+        wrench = wrench - self._bias
         if not self._started:
             self._begin(now, wrench, q, rail)
         out = np.empty((len(self.chains), 3))
@@ -74,13 +78,6 @@ class Corrected:
         for chain, one in zip(self.chains, windup, strict=True):
             if chain.links is not None:
                 chain.take_links(now + 10.0, one)
-
-    def _tared(self, wrench: Array) -> Array:
-        """Without the mean of the first readings, from when they are in."""
-        if self._zeroing > 0:
-            self._zeroing -= 1
-            self._bias += wrench / self._zeroed
-        return wrench if self._zeroing > 0 else wrench - self._bias
 
     def _begin(self, now: float, wrench: Array, q: Array, rail: Array) -> None:
         """In force before the course, as in production: ramped in, filters settled."""

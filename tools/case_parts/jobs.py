@@ -34,16 +34,18 @@ from irec_sim.production.ways import Ways, make_ways
 from .corrected import Corrected, Setup
 
 ROOT = Path(__file__).resolve().parents[2]
+RECORD = "2"  # of what the record of a drive holds
 
 
 @dataclass(frozen=True)
 class Case:
-    """Files of a case. `every`: only every n-th course of the part."""
+    """Files of a case. `every`: only every n-th course of the part; truth: its plant (default: as shipped)."""
 
     name: str
     out: Path
     every: int = 1
     seed: int = 0
+    truth: Path | None = None
 
     @property
     def cell_path(self) -> Path:
@@ -51,7 +53,7 @@ class Case:
 
     @property
     def truth_path(self) -> Path:
-        return ROOT / "config" / "truths" / f"case_{self.name}.yaml"
+        return self.truth or ROOT / "config" / "truths" / f"case_{self.name}.yaml"
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,7 @@ class Job:
         rows: courses of the part, from 0. model: file, None without correction, "oracle" for the plant itself.
         off: causes switched off. lead: s, extrapolated; taps, filter_file: designed filter; profiles: npz of one force profile
         per course; ahead: s, of the profiles; slack: s, by which they may be moved in time.
-        brisk: with the limits of `BRISK`. tare: s at the begin of a course, in which the force sensor is zeroed before contact;
-        0: not at all.
+        brisk: with the limits of `BRISK`. zeroed: the force sensor is zeroed in the air before each course.
     """
 
     name: str
@@ -77,7 +78,7 @@ class Job:
     ahead: float = 0.0
     slack: float = 0.0
     brisk: bool = False
-    tare: float = 0.0
+    zeroed: bool = False
     seed: int = 0
     links: bool = False  # secondary encoders are read; the model is of what lies beyond them
 
@@ -127,6 +128,7 @@ def path_of(case: Case, job: Job) -> Path:
 def fingerprint(case: Case, job: Job) -> str:
     """Of everything that a drive depends on: what is on disk is used again only where nothing has changed."""
     parts = [
+        RECORD,
         json.dumps(job.__dict__, sort_keys=True, default=str),
         str(case.seed),
         repr((filters_of(case), limits_of(case, job.brisk), LINK_FILTERS)),
@@ -169,7 +171,9 @@ def run_job(case: Case, job: Job) -> str:
             k: getattr(begun, k).astype(np.float32)
             for k in ("deviation", "measured", "static", "offset", "sent", "force", "reading")
         },
+        in_air=begun.in_air,
         counted=begun.counted,
+        judged=begun.judged,
     )
     part.replace(path)
     told.unlink(missing_ok=True)
@@ -184,7 +188,7 @@ def corrected(case: Case, job: Job, ways: Ways) -> Corrected:
         table = read_taps(job.filter_file, cell.robot.joint_names)
         filters = replace(filters, posture_taps=table.taps.tolist(), postures=table.postures.tolist())
     settings = CorrectionSettings(lead=job.lead, lead_limit=3e-4, limits=limits_of(case, job.brisk))
-    made = Corrected(cell, Setup(Path(str(job.model)), settings, filters, job.tare), len(job.rows))
+    made = Corrected(cell, Setup(Path(str(job.model)), settings, filters, job.zeroed), len(job.rows))
     profiles = np.load(job.profiles) if job.profiles else None
     for i, chain in enumerate(made.chains):
         if job.links:
@@ -208,7 +212,8 @@ def load(case: Case, job: Job) -> tuple[Drive, dict[str, float]]:
     hard = read_hard(case.truth_path, read_sim_cell(case.cell_path))
     ways = ways_of(case, hard).only(np.array(job.rows))
     fields = {k: data[k].astype(float) for k in ("deviation", "measured", "static", "offset", "sent", "force", "reading")}
-    return Drive(ways, counted=data["counted"], **fields), json.loads(str(data["told"]))
+    kept = {k: data[k] for k in ("in_air", "counted", "judged")}
+    return Drive(ways, **kept, **fields), json.loads(str(data["told"]))
 
 
 def run_jobs(case: Case, jobs: Sequence[Job], say: Callable[[str], None], processes: int = 2) -> None:

@@ -18,7 +18,7 @@ from .jobs import BRISK
 from .table import PAPER, Drawn, Figures, reduction
 
 START, LAST = "without correction", "+ filter of each axis, learnt on courses"
-NOT_KEPT = "tried on the third row, not kept: force extrapolated by the latency"
+NOT_KEPT = "tried on the fourth row, not kept: force extrapolated by the latency"
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ def maps(before: Drive, after: Drive, tolerance: float, case: str, path: Path) -
         p, e = drive.ways.p_in_cell[keep], 1e3 * drive.error[keep]
         e, low, colours = (np.abs(e), 0.0, CONTINUOUS) if case == "afp" else (e, -top, "PuOr")
         shown = ax.scatter(p[:, 1], p[:, 0], c=e, s=3, cmap=colours, vmin=low, vmax=top, rasterized=True)
-        inside = 100 * float((np.abs(drive.error[drive.counted]) <= tolerance).mean())
+        inside = 100 * float((np.abs(drive.error[drive.judged]) <= tolerance).mean())
         ax.set_title(f"{title}: {inside:.1f} % within {1e3 * tolerance:g} mm")
         ax.set_xlabel("y [m]")
         ax.set_aspect("equal")

@@ -31,7 +31,6 @@ from .table import Figures, figures, in_draws, reduction
 
 FEWEST = 4  # courses
 DRAWS = (1, 2, 3, 4)  # seeds of further drives: other unsteady force, other noise and drift, the same model
-ZEROING = 0.2  # s, in which the force sensor is zeroed before contact
 
 
 class Teller:
@@ -144,9 +143,9 @@ def _ladder(
     again: drives without correction with other noise and other drift: the filters have many numbers to learn.
     """
     train, held_out = np.arange(0, len(rows), 2), np.arange(1, len(rows), 2)
-    moving = improved_in_motion(case, whole["without"], train, say.shares())
+    moving = improved_in_motion(case, [whole["without"], *again], train, say.shares())
     say(f"in motion: {' + '.join(moving.effects)}, {_um(moving)} um on held-out places of the training courses")
-    drive, _ = load(case, whole["improved"])
+    drive = load(case, whole["improved"])[0].zeroed
     latency, bag = learned.latency_of(case, drive, train)
     lead = learned.lead_of(case, latency)
     profile = learned.profile_of(drive, train)
@@ -154,7 +153,7 @@ def _ladder(
     driven = ways.only(np.array(rows))
     shaken, swept = learned.shaken_at(case, driven, train, processes)
     plain, shaped = learned.designs(case, force, noise, lead, shaken)
-    driven_without = [(load(case, j)[0], train) for j in (whole["without"], *again)]
+    driven_without = [(load(case, j)[0].zeroed, train) for j in (whole["without"], *again)]
     own, postures = learnt_filter(case, moving, driven_without, swept)
     table = case.out / "filter.csv"
     write_taps(table, TapTable(own.taps, postures, read_cell(case.cell_path).robot.joint_names))
@@ -163,10 +162,11 @@ def _ladder(
     ahead, slack = float(min(latency.delay, 0.1)), round(min(2.0 * profile.spread, 0.2), 4)
     jobs = {"18 DOF, as in the paper": Job("ladder_0", some, whole["18 DOF"].model)}
     jobs["+ static effects (improve)"] = Job("ladder_1", some, whole["improved"].model)
-    jobs["+ the arm measured in motion (improve)"] = step = Job("ladder_2", some, str(case.out / "model_moving.yaml"))
+    jobs["+ force sensor zeroed before each course"] = Job("ladder_zeroed", some, whole["improved"].model, zeroed=True)
+    jobs["+ the arm measured in motion (improve)"] = step = Job(
+        "ladder_2", some, str(case.out / "model_moving.yaml"), zeroed=True
+    )
     jobs[NOT_KEPT] = replace(step, name="ladder_lead", lead=ahead)
-    if case.name == "afp":  # a cutter is in the cut where its course begins
-        jobs["+ force sensor zeroed before each course"] = step = replace(step, name="ladder_zeroed", tare=ZEROING)
     jobs["+ known force profile"] = step = replace(step, name="ladder_3", profiles=str(path), ahead=ahead, slack=slack)
     jobs["+ filter for the measured spectrum"] = step = replace(step, name="ladder_4", taps=_taps(plain.taps), ahead=lead)
     jobs["+ answer of arm and drives undone"] = step = replace(step, name="ladder_5", taps=_taps(shaped.taps))
@@ -245,7 +245,7 @@ def _finish(case: Case, found: Found, left: Left, say: Teller, report: Path) -> 
         "table": {n: asdict(f) for n, f in found.table.items()},
         "ladder": {n: asdict(f) for n, f in found.rungs.items()},
         "outside_bands": found.outside,
-        "draws": {d.name: d.values for d in found.drawn},
+        "draws": [asdict(d) for d in found.drawn],
         "last_rung_reduction": reduction(start, found.rungs[LAST]),
         "left_mm": left.parts,
         "left_without_common_mm": (left.own.mean, left.own.max),

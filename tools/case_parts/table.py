@@ -69,8 +69,8 @@ PAPER = {
 
 
 def figures(drive: Drive, tolerance_m: float) -> Figures:
-    """Figures of a drive over all samples that make the part."""
-    error = 1e3 * drive.error[drive.counted]
+    """Figures of a drive over all samples that make the part and that the tracker has measured."""
+    error = 1e3 * drive.error[drive.judged]
     size = np.abs(error)
     return Figures(
         float(size.mean()), float(size.max()), float(size.std()), float(error.std()), float((size <= 1e3 * tolerance_m).mean())

@@ -12,6 +12,8 @@ from ..kinematics import Array
 from .hard import Channel, ForceSensor
 from .ways import PERIOD
 
+ZEROING = 0.2  # s
+
 
 class Sensor:
     """Force sensor with bandwidth, noise, drift of the bias since zeroing, and delay in whole periods."""
@@ -28,6 +30,13 @@ class Sensor:
     def gain(self, frequency: float) -> float:
         """Of a sine, Hz."""
         return 1.0 / math.hypot(1.0, frequency / self._settings.bandwidth) if self._settings else 1.0
+
+    def in_air(self, reading: Array, rng: np.random.Generator) -> Array:
+        """Mean over `ZEROING` s where nothing touches the tool, (rows, 3), N; reading: of an ideal sensor there."""
+        if self._settings is None:
+            return reading
+        noise = self._settings.noise / math.sqrt(ZEROING / PERIOD)
+        return np.asarray(reading + self._drift + rng.normal(0.0, noise, reading.shape))
 
     def read(self, force: Array, tooth: Array) -> Array:
         """Reading now for forces (rows, 3), N, and what is left of tooth passing in it, (rows, 3), N."""

@@ -64,10 +64,12 @@ class ForceSensor:
 
 @dataclass(frozen=True)
 class DynamicTracker:
-    """How the moving tool is measured: noise: m per sample and axis; slow: m, of air and the target's frame over seconds."""
+    """How the moving tool is measured: noise: m per sample and axis; slow: m, of air and the target's frame over seconds;
+    rate: Hz, at which the part is judged."""
 
     noise: float = 15e-6
     slow: float = 10e-6
+    rate: float = 250.0
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,9 @@ CAUSES: dict[str, Callable[[Hard], Hard]] = {
     "latency and servo": lambda hard: replace(hard, channel=None),
     "structural modes": lambda hard: replace(hard, modes=None),
     "unsteady process force": lambda hard: replace(hard, ripple=0.0),
-    "tracker noise in motion": lambda hard: replace(hard, tracker=None),
+    "tracker noise in motion": lambda hard: replace(
+        hard, tracker=replace(hard.tracker, noise=0.0, slow=0.0) if hard.tracker else None
+    ),
 }  # fmt: skip
 
 

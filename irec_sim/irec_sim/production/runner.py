@@ -49,6 +49,15 @@ class ReadsLinks(Protocol):
         ...
 
 
+@runtime_checkable
+class Zeroes(Protocol):
+    """A controller that has its force sensor zeroed before each course."""
+
+    def zero(self, reading: Array) -> None:
+        """Mean reading in the air, where each course begins, (rows, 3), N in tool0; before the first `step`."""
+        ...
+
+
 class Oracle:
     """A controller that knows the plant: its offset is minus the true static answer, on the same channel as everybody's.
 
@@ -70,8 +79,9 @@ class Drive:
     Attributes:
         deviation: physical TCP minus where it would be without process and offset, as it truly is; measured: by the tracker.
         static: share of the deviation that a plant without mass would show; offset: as the motors had it; sent: as it was sent.
-        force: of the environment on the robot; reading: of the sensor in tool0.
-        counted: samples that make the part.
+        force: of the environment on the robot; reading: of the sensor in tool0; in_air: its mean reading before each course,
+        where nothing touches the tool, (rows, 3).
+        counted: samples that make the part; judged: those of them at which the tracker measures.
     """
 
     ways: Ways
@@ -82,7 +92,9 @@ class Drive:
     sent: Array
     force: Array
     reading: Array
+    in_air: Array
     counted: BoolArray
+    judged: BoolArray
 
     def along(self, vector: Array) -> Array:
         """Component of (steps, rows, 3) that is an error of the part, (steps, rows)."""
@@ -92,6 +104,11 @@ class Drive:
     def error(self) -> Array:
         """Measured error of the part, (steps, rows), m."""
         return self.along(self.measured)
+
+    @property
+    def zeroed(self) -> Drive:
+        """The same with the force sensor zeroed before each course."""
+        return replace(self, reading=self.reading - self.in_air)
 
 
 def drive(
@@ -107,6 +124,8 @@ def drive(
         SimError: the plant has no equilibrium (a correction that blows up).
     """
     run = _Run(cell, hard, ways, make_force(hard.process, ways, seed, hard.ripple), seed)
+    if isinstance(controller, Zeroes):
+        controller.zero(run.in_air)
     steps = len(ways.q)
     for k in range(steps):
         run.step(k, controller)
@@ -133,6 +152,8 @@ class _Run:
         if self.modes is not None and hard.modes is not None:
             self.oscillators = Oscillators(rows, self.modes.hertz.shape[2], hard.modes.damping)
         self.sensor = Sensor(hard.sensor, rows, np.random.default_rng([seed, 3]))
+        nothing = force_reading(self.sensing, cell.sensor_axis, np.zeros((rows, 3)), ways.R_tool[0])
+        self.in_air = self.sensor.in_air(nothing, np.random.default_rng([seed, 7]))
         self.path = OffsetPath(hard.channel, rows, np.random.default_rng([seed, 4]))
         self.encoders, self.wound_dynamic = np.random.default_rng([seed, 6]), np.zeros((rows, n))
         shape = (steps, rows, 3)
@@ -228,7 +249,17 @@ class _Run:
             slow = np.cumsum(rng.normal(0.0, 1.0, measured.shape), axis=0)
             slow *= tracker.slow / max(1e-12, float(slow.std(axis=0).mean()))
             measured += rng.normal(0.0, tracker.noise, measured.shape) + slow - slow.mean(axis=0)
-        return Drive(self.ways, measured=measured, counted=self.force.counted & self.ways.driving, **self.out)
+        counted = self.force.counted & self.ways.driving
+        judged = counted & self._sampled(len(counted))[:, None]
+        return Drive(self.ways, measured=measured, in_air=self.in_air, counted=counted, judged=judged, **self.out)
+
+    def _sampled(self, steps: int) -> BoolArray:
+        """Steps at which the tracker measures."""
+        tracker = self.hard.tracker
+        if tracker is None or tracker.rate * PERIOD >= 1.0:
+            return np.ones(steps, dtype=bool)
+        due = np.floor(np.arange(steps) * tracker.rate * PERIOD)
+        return np.diff(due, prepend=-1.0) > 0.0
 
 
 class _Rest:
