@@ -47,7 +47,7 @@ def print_tables(cases: Sequence[Case], processes: int) -> None:
     ]
     if ends:
         _print(
-            "Assumptions of fibre placement, every second course, generated",
+            "Assumptions of fibre placement, every fourth course, generated",
             "before: mean, maximum, less by: mean, maximum",
             ends,
         )
