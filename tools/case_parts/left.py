@@ -26,7 +26,7 @@ class Left:
     measured: Figures
     true: Figures
     steady: Figures
-    own: Figures  # as measured, less what the other courses leave at the same time after touch-down and before the end
+    own: Figures  # as measured, less what the other courses leave at the same time after the begin of contact and before the end
 
     @property
     def parts(self) -> dict[str, tuple[float, float]]:
@@ -36,7 +36,7 @@ class Left:
             "the unsteady part of the process force": (self.true, self.steady),
         }
         parts = {name: (a.mean - b.mean, a.max - b.max) for name, (a, b) in rows.items()}
-        return {**parts, "the rest: model, touch-down and lift-off, sensor": (self.steady.mean, self.steady.max)}
+        return {**parts, "the rest: model, begin and end of contact, sensor": (self.steady.mean, self.steady.max)}
 
 
 def steady_job(last: Job) -> Job:
@@ -80,7 +80,7 @@ def section(left: Left, before: Figures) -> Section:
         "The last row of the ladder once more: freed of the noise of the tracker that judges it, then driven without the part of "
         "the process force that differs from course to course, with the same model, profile and filter. What goes is what each "
         "costs. The unsteady force is read some 40 ms before an offset can answer it, and no filter foresees all of it.",
-        "What comes again: less what the other courses leave in the mean at the same time after touch-down and before "
+        "What comes again: less what the other courses leave in the mean at the same time after the begin of contact and before "
         f"the end, mean and maximum would be {1e3 * left.own.mean:.1f} and {1e3 * left.own.max:.0f} um in place of "
         f"{1e3 * left.measured.mean:.1f} and {1e3 * left.measured.max:.0f} um. That is what an offset could gain that is learnt "
         "by place from what earlier courses have left.",

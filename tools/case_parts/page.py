@@ -203,7 +203,8 @@ def _learned(found: Found, folder: Path) -> Section:
     told = found.told
     latency, plain, shaped = told["latency"], told["plain"], told["shaped"]
     text = [
-        "The arm in motion: the training courses were driven dry and under the process with the tracker on the tool, and the "
+        "The arm in motion: the training courses were driven dry, and five times under the process with the tracker on the tool; "
+        "the force sensor was zeroed in the air before each, and the "
         f"rows read as a session (session_moving): {' + '.join(told['moving'].effects)}, "
         f"{1e6 * told['moving'].figures['cv_rms_m']:.0f} um on held-out places. A standing arm is held by the friction of its "
         "gears, a moving one is not.",
@@ -213,7 +214,8 @@ def _learned(found: Found, folder: Path) -> Section:
         f"{100 * plain.left:.0f} % by its own account where arm and drives are a delay, the low-pass {100 * plain.before:.0f} %; "
         f"with the answers of arm and drives as they were measured {100 * shaped.left:.0f} % instead of "
         f"{100 * shaped.before:.0f} %. Acceleration of the offset {shaped.acceleration:.2f} m/s^2 RMS.",
-        f"Force profile: the touch-down comes {1e3 * told['profile'].spread:.0f} ms (one standard deviation) sooner or later "
+        f"Force profile: {'touch-down' if found.case == 'afp' else 'the entry of the cutter'} comes "
+        f"{1e3 * told['profile'].spread:.0f} ms (one standard deviation) sooner or later "
         f"from course to course; in each course it is moved by up to {1e3 * told['slack']:.0f} ms to where the readings have it. "
         f"{told['profile'].left:.0f} N RMS of the readings are not common to all courses.",
         "Filter of each axis of the force: learnt from the training courses that were driven without correction with the tracker "
