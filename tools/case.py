@@ -5,6 +5,7 @@
     python tools/case.py afp --every 4       only every fourth course
     python tools/case.py afp --no-nodes      calibration session generated directly, without ROS
     python tools/case.py afp --costs         what each cause of the hard plant costs alone
+    python tools/case.py afp --ends          what other values of its assumptions give
     python tools/case.py tables              the tables of docs/case-studies.md, once both cases are done
 
 Results go to out/case-afp: report.html, summary.json, session/, models, drives/.
@@ -19,6 +20,7 @@ import sys
 from pathlib import Path
 
 from case_parts.costs import print_costs
+from case_parts.ends import print_ends
 from case_parts.jobs import ROOT, Case
 from case_parts.story import run_case
 from case_parts.tables import CALLED, print_tables
@@ -38,6 +40,7 @@ def main() -> int:
     parser.add_argument("--fresh", action="store_true", help="begin anew, whatever the folder holds")
     parser.add_argument("--no-budget", action="store_true", help="leave the error budget out")
     parser.add_argument("--no-nodes", action="store_true", help="generate the calibration session directly, without ROS")
+    parser.add_argument("--ends", action="store_true", help="print what other values of assumptions give (fibre placement)")
     parser.add_argument("--costs", action="store_true", help="print what each cause of the hard plant costs alone")
     args = parser.parse_args()
     for number in (signal.SIGINT, signal.SIGTERM):  # also where SIGINT was ignored by who started this
@@ -53,6 +56,9 @@ def main() -> int:
         case.out.mkdir(parents=True, exist_ok=True)
         if args.costs:
             print_costs(case, args.processes)
+            return 0
+        if args.ends:
+            print_ends(case, args.processes)
             return 0
         return run_case(case, args.processes, not args.no_budget, not args.no_nodes)
     except (IrecError, SimError, OSError) as error:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +15,8 @@ from irec_sim.cellfile import read_cell as read_sim_cell
 from irec_sim.production.hard import read_hard
 
 from . import calibrated
-from .jobs import Case, Job, load, run_jobs, ways_of
-from .table import Drawn, figures, in_draws
+from .jobs import Case, Job, kept_ways, load, run_jobs, ways_of
+from .table import Drawn, figures, in_draws, line, markdown
 
 SEEDS = (0, 1, 2, 3, 4)
 FIRST, APART = 2, 4  # every fourth course, from T_3
@@ -55,7 +56,21 @@ def at_end(case: Case, name: str) -> Case:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "truth.yaml"
     path.write_text(yaml.safe_dump(truth, sort_keys=False), encoding="utf-8")
-    return replace(case, out=folder, truth=path)
+    other = replace(case, out=folder, truth=path)
+    if kept_ways(case).is_file() and not kept_ways(other).is_file():  # its courses are the same
+        shutil.copy(kept_ways(case), kept_ways(other))
+    return other
+
+
+def print_ends(case: Case, processes: int) -> None:
+    """The table, as Markdown."""
+    ways_of(case, read_hard(case.truth_path, read_sim_cell(case.cell_path)))
+    rows = []
+    for name in ENDS:
+        print(name, flush=True)
+        drawn = drawn_at(at_end(case, name), processes, lambda text: print(text, flush=True))
+        rows.append(line(name, [d.short for d in drawn]))
+    markdown(f"Every {APART}th course, generated, {len(SEEDS)} draws", "before: mean, maximum, less by: mean, maximum", rows)
 
 
 def drawn_at(case: Case, processes: int, say: Callable[[str], None]) -> list[Drawn]:

@@ -109,8 +109,7 @@ def limits_of(case: Case, brisk: bool = False) -> OffsetLimits:
 
 def ways_of(case: Case, hard: Hard) -> Ways:
     """Ways of the part, computed once."""
-    digest = hashlib.sha256(case.truth_path.read_bytes() + case.cell_path.read_bytes()).hexdigest()[:12]
-    path = case.out / f"ways_{digest}.pickle"
+    path = kept_ways(case)
     if path.is_file():
         with path.open("rb") as file:
             return pickle.load(file)  # written by the line below
@@ -119,6 +118,12 @@ def ways_of(case: Case, hard: Hard) -> Ways:
     part.write_bytes(pickle.dumps(ways))
     part.replace(path)
     return ways
+
+
+def kept_ways(case: Case) -> Path:
+    """Where the ways of this part are kept."""
+    digest = hashlib.sha256(case.truth_path.read_bytes() + case.cell_path.read_bytes()).hexdigest()[:12]
+    return case.out / f"ways_{digest}.pickle"
 
 
 def path_of(case: Case, job: Job) -> Path:

@@ -107,6 +107,12 @@ class Drawn:
         return not self.band[0] - self.uncertain <= self.mean <= self.band[1] + self.uncertain
 
     @property
+    def short(self) -> str:
+        """Mean and how uncertain it is."""
+        digits = 3 if self.unit == "mm" else 1
+        return f"{self.mean:.{digits}f} +- {self.uncertain:.{digits}f} {self.unit}"
+
+    @property
     def told(self) -> str:
         low, high = self.band
         drawn = (
@@ -115,6 +121,19 @@ class Drawn:
             else ""
         )
         return f"{self.name} is {self.mean:.3g}{drawn} {self.unit}, the real cell's band is {low:g} to {high:g} {self.unit}"
+
+
+def line(name: str, cells: Sequence[str]) -> str:
+    """A row of a table, as Markdown."""
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+def markdown(title: str, columns: str, rows: Sequence[str]) -> None:
+    """Print a table; columns: names with ", " between, or one name where there is one column only."""
+    cells = rows[0].count("|") - 2
+    heads = columns.split(", ") if cells > 1 else [columns]
+    print(f"\n{title}\n\n| | {' | '.join(heads)} |\n|---|{'---|' * cells}")
+    print("\n".join(rows))
 
 
 def in_draws(case: str, before: Sequence[Figures], after: Sequence[Figures]) -> list[Drawn]:

@@ -15,11 +15,11 @@ from irec_sim.cellfile import read_cell as read_sim_cell
 from irec_sim.production.hard import read_hard
 
 from . import calibrated
-from .ends import ENDS, at_end, drawn_at
+from .ends import print_ends
 from .jobs import Case, Job, load, run_jobs, ways_of
 from .page import START
 from .story import CONTACT, CONTACT_DISC, DRAWS, courses_of
-from .table import Drawn, Figures, figures, in_draws, reduction
+from .table import Drawn, Figures, figures, in_draws, line, markdown, reduction
 
 CALLED = {"afp": "fibre placement", "machining": "roughing"}
 
@@ -32,26 +32,17 @@ def print_tables(cases: Sequence[Case], processes: int) -> None:
         summary, name = done[case.name], CALLED[case.name]
         nodes = f"{name}, through the nodes" if "through the nodes:" in summary["calibrated"] else f"{name}, generated (the case)"
         table = {k: Figures(**f) for k, f in summary["table"].items()}
-        rows["bands"].append(_line(nodes, [_told(Drawn(**d)) for d in summary["draws"]]))
-        rows["tracker"].append(_line(nodes, [_cut(table["without"], table[k]) for k in ("18 DOF", CONTACT, CONTACT_DISC)]))
+        rows["bands"].append(line(nodes, [Drawn(**d).short for d in summary["draws"]]))
+        rows["tracker"].append(line(nodes, [_cut(table["without"], table[k]) for k in ("18 DOF", CONTACT, CONTACT_DISC)]))
         drawn, pairs = _generated(case, processes)
-        rows["bands"].append(_line(f"{name}, generated", [_told(d) for d in drawn]))
-        rows["tracker"].append(_line(f"{name}, generated", pairs))
-    _print("What the 18 DOF of the paper leave, five draws", "before: mean, maximum, less by: mean, maximum", rows["bands"])
-    _print("Without the tracker: mean, maximum less by", "with tracker, without, without with disc measured", rows["tracker"])
-    ends = [
-        _line(name, [_told(d) for d in drawn_at(at_end(case, name), processes, _say)])
-        for case in cases
-        if case.name == "afp"
-        for name in ENDS
-    ]
-    if ends:
-        _print(
-            "Assumptions of fibre placement, every fourth course, generated",
-            "before: mean, maximum, less by: mean, maximum",
-            ends,
-        )
-    _print("The ladder: mean, maximum less by", ", ".join(CALLED[c.name] for c in cases), _ladder(list(done.values())))
+        rows["bands"].append(line(f"{name}, generated", [d.short for d in drawn]))
+        rows["tracker"].append(line(f"{name}, generated", pairs))
+    markdown("What the 18 DOF of the paper leave, five draws", "before: mean, maximum, less by: mean, maximum", rows["bands"])
+    markdown("Without the tracker: mean, maximum less by", "with tracker, without, without with disc measured", rows["tracker"])
+    for case in cases:
+        if case.name == "afp":
+            print_ends(case, processes)
+    markdown("The ladder: mean, maximum less by", ", ".join(CALLED[c.name] for c in cases), _ladder(list(done.values())))
 
 
 def _say(text: str) -> None:
@@ -93,11 +84,6 @@ def _cut(before: Figures, after: Figures) -> str:
     return f"{mean:.1f} %, {largest:.1f} %"
 
 
-def _told(drawn: Drawn) -> str:
-    digits = 3 if drawn.unit == "mm" else 1
-    return f"{drawn.mean:.{digits}f} +- {drawn.uncertain:.{digits}f} {drawn.unit}"
-
-
 def _ladder(done: list[dict[str, Any]]) -> list[str]:
     steps = list(dict.fromkeys(step for summary in done for step in summary["ladder"] if step != START))
     out = []
@@ -106,17 +92,5 @@ def _ladder(done: list[dict[str, Any]]) -> list[str]:
         for summary in done:
             f = summary["ladder"].get(step)
             cells.append(_cut(Figures(**summary["ladder"][START]), Figures(**f)) if f else "")
-        out.append(_line(step, cells))
+        out.append(line(step, cells))
     return out
-
-
-def _line(name: str, cells: Sequence[str]) -> str:
-    return f"| {name} | {' | '.join(cells)} |"
-
-
-def _print(title: str, columns: str, rows: Sequence[str]) -> None:
-    names = columns.split(", ")
-    cells = rows[0].count("|") - 2
-    heads = names if len(names) == cells else [columns]
-    print(f"\n{title}\n\n| | {' | '.join(heads)} |\n|---|{'---|' * cells}")
-    print("\n".join(rows))
