@@ -38,9 +38,10 @@ class FakeRobot:
         self, n_poses: int = 2, bad: dict[int, str] | None = None, seed: int = 1, order_seed: int | None = None,
         **arguments: object,
     ) -> None:
-        self.streams = Streams(5.0)
+        asked = settings(**arguments.pop("settings", {}))  # type: ignore[arg-type]
+        self.streams = Streams(5.0, tracker=not asked.without_tracker)
         self.procedure = Procedure(
-            targets(n_poses, bad), FORCES, np.zeros(6), settings(**arguments.pop("settings", {})), self.streams,  # type: ignore[arg-type]
+            targets(n_poses, bad), FORCES, np.zeros(6), asked, self.streams,
             {"A": np.eye(3)}, seed=order_seed, **arguments,  # type: ignore[arg-type]
         )  # fmt: skip
         self.rng = np.random.default_rng(seed)
@@ -65,6 +66,10 @@ class FakeRobot:
         self.tcp = np.array([1.0, 0.0, 0.003])
         self.clock = 0.0  # s by which somebody has set the cell's clock
         self.sliding = np.zeros(3)  # m/s
+        self.yields = np.zeros(3)  # m/N by which the controller's TCP follows the force
+        self.joint_noise = 0.0  # rad
+        self.creeping = np.zeros(6)  # rad/s of the joints under load
+        self.q = np.zeros(6)
         self.rows: list[Row] = []
         self.events: list[Event] = []
         self.commands: list[object] = []
@@ -107,14 +112,17 @@ class FakeRobot:
         goal = self.wanted * self.force_share if self.force_control else np.zeros(3)
         self.force += (goal - self.force) * min(1.0, dt / 0.1)
         self.marker = self.marker + self.sliding * dt * self.force_control
+        self.q = self.q + self.creeping * dt * self.force_control
+        self.tcp = self.tcp + self.sliding * dt * self.force_control
         if self.delivers_force:
             noisy = self.force + self.extra_force + self.rng.normal(0, self.force_noise, 3)
             self.streams.add_wrench(self.now, (*noisy, 0.0, 0.0, 0.0))
         if self.sees_marker:
             self.streams.add_marker(self.now, *(self.marker + self.rng.normal(0, 1e-5, 3)), "A")
         if self.delivers_joints:
-            self.streams.add_joints(self.now, NAMES, (0.0,) * 6)
-            self.streams.add_tcp(self.now, *self.tcp)
+            q = self.q + (self.rng.normal(0.0, self.joint_noise, 6) if self.joint_noise else 0.0)
+            self.streams.add_joints(self.now, NAMES, tuple(q.tolist()))
+            self.streams.add_tcp(self.now, *(self.tcp + self.yields * self.force))
 
     def _carry_out(self, command: object) -> None:
         if isinstance(command, MoveJoint | MoveLinear):

@@ -85,6 +85,11 @@ class Cell:
         """Of the mounted tool; empty where the file does not name it."""
         return str(self.raw["tool"].get("name") or "")
 
+    @property
+    def without_tracker(self) -> bool:
+        """The file states that no tracker measures here (`procedure.without_tracker`); its stations only serve planning then."""
+        return self.raw.get("procedure", {}).get("without_tracker", False) is True
+
     def base_in_cell(self, rail: Array) -> Array:
         """Position of base_link in the cell frame for rail positions (n,), shape (n, 3), m."""
         if self.rail is None:

@@ -54,7 +54,8 @@ class Moves:
 
 def judge_moves(m: Moves, cell: Cell, axes: Axes) -> list[Item]:
     """All items of the level."""
-    return [*_answers(m), *_on_the_way(m, cell, axes), *_marker(m, cell, axes), *_weight(m, cell)]
+    marker = () if cell.without_tracker else _marker(m, cell, axes)
+    return [*_answers(m), *_on_the_way(m, cell, axes), *marker, *_weight(m, cell)]
 
 
 def _item(name: str, passed: bool, figure: str, limit: str, advice: str) -> Item:
@@ -136,7 +137,7 @@ def _on_the_way(m: Moves, cell: Cell, axes: Axes) -> Iterator[Item]:
             "set in_motion while a Move runs",
         )
     marker = m.way.streams.get("tracker/point")
-    if marker is not None and len(marker.stamp) > 20:
+    if marker is not None and len(marker.stamp) > 20 and not cell.without_tracker:
         skew = _skew(marker, tcp, m.line)
         yield _item(
             "stamps of tracker/point against tcp_pose",

@@ -47,6 +47,8 @@ def _item(name: str, passed: bool, figure: str, limit: str, advice: str) -> Item
 
 def _streams(seen: Observation, cell: Cell, lag_limit: float) -> Iterator[Item]:
     for topic, rate in RATES.items():
+        if topic == "tracker/point" and cell.without_tracker:
+            continue
         s = seen.streams.get(topic)
         if s is None or not len(s.stamp):
             yield _item(
@@ -214,7 +216,7 @@ def _forces(seen: Observation) -> Iterator[Item]:
 
 def _tracker(seen: Observation, cell: Cell, axes: Axes) -> Iterator[Item]:
     s, found, tcp = seen.streams.get("tracker/point"), positions(seen, axes), seen.mean("tcp_pose")
-    if s is None or not len(s.value):
+    if s is None or not len(s.value) or cell.without_tracker:
         return
     held = float(np.ptp(s.value, axis=0).max()) if len(s.value) > 20 else np.inf
     yield _item(

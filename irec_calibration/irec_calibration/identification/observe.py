@@ -100,8 +100,14 @@ def observe(session: Session, compliance: Array | None = None) -> Observation:
     if session.kind == "loaded":
         rows = np.flatnonzero((session.load_case != 0) & seen & seen[scene.reference])
         if not len(rows):
+            where = session.path or session.name
+            if session.meta.get("without_tracker") is True:
+                raise SolveError(
+                    f"{where}: was recorded without a tracker, its marker columns are empty; give --without-tracker to"
+                    " irec solve, diagnose or improve, which then take the disc on the tooling as the measured point"
+                )
             raise SolveError(
-                f"{session.path or session.name}: no loaded row with its marker and its reference seen; nothing to identify from"
+                f"{where}: no loaded row with its marker and its reference seen; nothing to identify from"
                 " (irec solve --without-tracker needs none)"
             )
     else:

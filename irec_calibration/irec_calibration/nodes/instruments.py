@@ -41,7 +41,10 @@ class Instruments:
     def __init__(
         self, node: Node, inputs: Inputs, on_robot_state: Callable[[RobotState], None], on_wrench: Callable[[], None]
     ) -> None:
-        """on_wrench: called after each wrench that was taken, so that the procedure keeps up with a cell of any speed."""
+        """on_wrench: called after each wrench that was taken, so that the procedure keeps up with a cell of any speed.
+
+        In a cell without a tracker points that come all the same are recorded, for whoever wants to compare, and not read.
+        """
         self._node, self.inputs, self._on_robot_state, self._on_wrench = node, inputs, on_robot_state, on_wrench
         self._recorder: SessionRecorder | None = None
         self.recording_problem = ""
@@ -55,7 +58,7 @@ class Instruments:
         self._subscribe("tcp_pose", PoseStamped, self._tcp)
         self._subscribe("wrench", WrenchStamped, self._wrench)
         self._subscribe("wrench_raw", WrenchStamped, None)
-        self._subscribe("tracker/point", PointStamped, self._marker)
+        self._subscribe("tracker/point", PointStamped, self._marker if "marker" in inputs.streams.needed else None)
         self._subscribe("robot/state", RobotState, lambda _, m: self._on_robot_state(m))
 
     def find_temperatures(self) -> None:

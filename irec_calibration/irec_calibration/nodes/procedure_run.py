@@ -62,7 +62,8 @@ class ProcedureRun:
         )  # fmt: skip
         done = self.recorder.done
         where = f"going on after {len(done)} complete poses" if done else "from the beginning"
-        self.begun = f"{len(targets)} poses from {poses_path}, {where}; recording to {self.recorder.path}"
+        blind = " without a tracker (tracker/point is not read)," if settings.without_tracker else ""
+        self.begun = f"{len(targets)} poses from {poses_path},{blind} {where}; recording to {self.recorder.path}"
         self.started_at = 0.0  # cell's clock
         instruments.find_temperatures()
         instruments.record_to(self.recorder)

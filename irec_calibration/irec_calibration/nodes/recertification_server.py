@@ -41,7 +41,9 @@ class RecertificationServer:
         self._node, self._cell = node, cell
         tool = Tool(cell.tool_name, cell.payload, cell.marker_in_tool)
         operators = tuple(str(name) for name in cell.raw.get("operators", ()))
-        self.place = Place(cell.name, cell.robot, cell.serial, cell.tolerance, read_acceptance(cell), tool, operators)
+        self.place = Place(
+            cell.name, cell.robot, cell.serial, cell.tolerance, read_acceptance(cell), tool, operators, cell.without_tracker
+        )
         self.store = Store(folder, cell.serial)
         procedure = ActionClient(node, RunProcedure, "irec/run_procedure", callback_group=group)
         activate = node.create_client(ActivateModel, "irec/correction/activate_model", callback_group=group)

@@ -26,7 +26,8 @@ def row_message(row: Row, session_start: float) -> LoadCaseRecord:
     m.joint_names = list(row.joint_names)
     m.joint_position = array("d", window.q.mean(axis=0))
     m.p_tcp_in_base = point(window.p_tcp_in_base.mean(axis=0))
-    m.p_marker_in_station = point(window.p_marker_in_station.mean(axis=0))
+    seen = len(window.p_marker_in_station) > 0  # NaN: not measured, an empty field of the session
+    m.p_marker_in_station = point(window.p_marker_in_station.mean(axis=0) if seen else np.full(3, np.nan))
     m.station = window.station
     m.wrench_in_tool = Wrench(force=vector(window.force_in_tool.mean(axis=0)), torque=vector(window.torque_in_tool.mean(axis=0)))
     m.temperature_names = [f"temp_{name}" for name in sorted(row.temperature)]

@@ -4,7 +4,7 @@ before a row is recorded (friction cone, slip)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ..cell import Cell
 from ..errors import PlanError
 from ..poses.checker import REASONS, Checker
 from ..typing import Array
+from .by_encoders import levers, slip_problem
 from .settings import Settings
 from .standstill import Window
 
@@ -29,6 +30,7 @@ class Target:
         R_tool_in_base: orientation of tool0 in all three, (3, 3).
         p_approach, p_reference: TCP in base_link, (3,), m.
         problem: why the robot must not go there; empty if it may.
+        lever: how far each joint and external axis moves the TCP in contact, (k,), m per rad or per m.
     """
 
     pose: int
@@ -38,6 +40,7 @@ class Target:
     p_approach: Array
     p_reference: Array
     problem: str = ""
+    lever: Array = field(default_factory=lambda: np.ones(1))
 
 
 def plan_targets(cell: Cell, settings: Settings, q: Array, rail: Array, numbers: list[int]) -> list[Target]:
@@ -62,6 +65,7 @@ def plan_targets(cell: Cell, settings: Settings, q: Array, rail: Array, numbers:
     failed, _, _ = checker.check(q, np.ones(len(q), dtype=bool), rail, -z)
     q_approach, _ = checker.approach(q, kin.p_tcp, kin.R_tool)
     reasons = [*REASONS.values(), ""]
+    J, revolute = kin.jacobian(kin.p_tcp), np.logical_not(cell.robot.is_prismatic)
     targets = []
     for i, number in enumerate(numbers):
         p_approach = kin.p_tcp[i] - cell.approach_distance * z[i]
@@ -71,6 +75,7 @@ def plan_targets(cell: Cell, settings: Settings, q: Array, rail: Array, numbers:
             Target(
                 number, q_approach[i], None if cell.rail is None else float(rail[i]), kin.R_tool[i], p_approach, p_reference,
                 reasons[failed[i]] or _out_of_bounds(cell, settings, path, float(rail[i])),
+                levers(J[i], revolute, 0 if cell.rail is None else 1),
             )  # fmt: skip
         )
     return targets
@@ -93,6 +98,25 @@ def contact_problem(window: Window, reference: Window, R_tool_in_station: Array,
         reference: the reference window of the pose.
         R_tool_in_station: rotation of tool0 into the frame of the station, (3, 3).
     """
+    if problem := _force_problem(window, settings):
+        return problem
+    if window.station != reference.station:
+        return f"tracker station changed from {reference.station} to {window.station}"
+    moved = R_tool_in_station.T @ (window.p_marker_in_station.mean(axis=0) - reference.p_marker_in_station.mean(axis=0))
+    way = float(np.hypot(moved[0], moved[1]))
+    if way > settings.settling.slip_m:
+        limit = settings.settling.slip_m
+        moved_by = f"{way * 1e3:.2f} mm along the surface, limit {limit * 1e3:.2f} mm"
+        return f"the contact slipped, or the tracker jumped: the marker moved by {moved_by}"
+    return ""
+
+
+def contact_problem_by_encoders(window: Window, p_contact: Array, R_tool_in_base: Array, settings: Settings) -> str:
+    """The same without a tracker; p_contact: TCP by the controller when contact was made, (3,), m in base_link."""
+    return _force_problem(window, settings) or slip_problem(window, p_contact, R_tool_in_base, settings.settling.slip_m)
+
+
+def _force_problem(window: Window, settings: Settings) -> str:
     force = window.force_in_tool.mean(axis=0)
     lateral, normal = float(np.hypot(force[0], force[1])), float(-force[2])
     if normal <= 0.0:
@@ -102,12 +126,4 @@ def contact_problem(window: Window, reference: Window, R_tool_in_station: Array,
             f"the contact may slip: {lateral:.0f} N across at {normal:.0f} N normal,"
             f" ratio {lateral / normal:.3f}, limit {settings.friction:.3f}"
         )
-    if window.station != reference.station:
-        return f"tracker station changed from {reference.station} to {window.station}"
-    moved = R_tool_in_station.T @ (window.p_marker_in_station.mean(axis=0) - reference.p_marker_in_station.mean(axis=0))
-    way = float(np.hypot(moved[0], moved[1]))
-    if way > settings.settling.slip_m:
-        limit = settings.settling.slip_m
-        moved_by = f"{way * 1e3:.2f} mm along the surface, limit {limit * 1e3:.2f} mm"
-        return f"the contact slipped, or the tracker jumped: the marker moved by {moved_by}"
     return ""

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..typing import Array
-from .checks import contact_problem
+from .by_encoders import commanded_problem
+from .checks import contact_problem, contact_problem_by_encoders
 from .commands import MoveJoint, MoveLinear, Row
 from .plausible import Standing
 from .standstill import Window
@@ -51,6 +52,7 @@ def move_out(p: Procedure) -> None:
 def begin_pose(p: Procedure) -> None:
     """Nothing is recorded of it yet. Draws the order of the load cases."""
     p.pose_since, p.recorded, p.case, p.outcome = p.since_elapsed, 0, 0, ""
+    p.p_contact, p.p_pressed = None, []
     if p.seed is not None and p.target is not None:
         drawn = np.random.default_rng([p.seed, p.target.pose, p.repeat]).permutation(len(p.forces))
         p.order = tuple(int(j) + 1 for j in drawn)
@@ -114,7 +116,7 @@ def record_and_switch(p: Procedure) -> None:
     """Lines 8 to 11: the window that stood still is the reference."""
     window = _window(p)
     if p.plausibility is not None and window.quat_tcp is not None:
-        marker = window.p_marker_in_station.mean(axis=0)
+        marker = window.p_marker_in_station.mean(axis=0) if window.station else None
         quat = window.quat_tcp[-1]
         s = _standing(p, window.q.mean(axis=0), window.p_tcp_in_base.mean(axis=0), quat, marker, window.station)
         if problem := p.plausibility.problem(s):
@@ -162,6 +164,8 @@ def ask_for_force(p: Procedure) -> None:
     """Line 13."""
     p.window_from = p.since
     p.force_before = p.streams.newest_force
+    if p.p_contact is None and p.streams.newest_tcp is not None:
+        p.p_contact = p.streams.newest_tcp[0]  # under the normal force alone, whatever the first load case is
     p.counts.cases += 1
     p.set_force(p.forces[p.load_case - 1])
 
@@ -171,16 +175,24 @@ def record_row(p: Procedure) -> None:
     window, reference = _window(p), p.reference
     if reference is None:
         raise RuntimeError("record was entered without a reference")
-    station = p.station_rotation.get(reference.station)
-    if station is None:
-        problem = f"the tracker reports as '{reference.station}', which the cell file does not name"
-    else:
-        problem = contact_problem(window, reference, station.T @ p.work[p.index][0].R_tool_in_base, p.settings)
-    if problem:
+    if problem := _contact_problem(p, window, reference):
         p.reject(problem)
         return
     _record(p, p.load_case)
     p.recorded += 1
+    p.p_pressed.append(window.p_tcp_in_base.mean(axis=0))
+
+
+def _contact_problem(p: Procedure, window: Window, reference: Window) -> str:
+    R_tool = p.work[p.index][0].R_tool_in_base
+    if p.settings.without_tracker:
+        if p.p_contact is None:
+            raise RuntimeError("record was entered without a contact")
+        return contact_problem_by_encoders(window, p.p_contact, R_tool, p.settings)
+    station = p.station_rotation.get(reference.station)
+    if station is None:
+        return f"the tracker reports as '{reference.station}', which the cell file does not name"
+    return contact_problem(window, reference, station.T @ R_tool, p.settings)
 
 
 def _window(p: Procedure) -> Window:
@@ -214,6 +226,8 @@ def count_pose(p: Procedure) -> None:
             p.event("complete", f"{p.recorded} of {len(p.forces)} load cases")
             p.counts.complete += 1
             p.counts.seconds.append(p.since_elapsed - p.pose_since)
+            if p.settings.without_tracker and not p.stopped_because:
+                p.stopped_because = commanded_problem(p.p_pressed)
         else:
             p.skip(f"no load case could be recorded; the last because: {p.last_rejection}")
     p.index += 1

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .by_encoders import unsettled_by_encoders
 from .plausible import what_is_read
 from .standstill import unsettled
 
@@ -49,21 +50,26 @@ def _force_is_near(p: Procedure) -> bool:
 
 
 def _stands_still(p: Procedure) -> bool:
-    """One whole window since entry in which force and marker stand still."""
+    """One whole window since entry in which the force stands still, and the marker or, without a tracker, the joints."""
     window = p.streams.window(p.window_from, p.settings.window_s)
     if window is None:
         newest = p.streams.newest()
-        silent = [n for n in ("force", "marker", "joints", "TCP") if newest.get(n, -1.0) < p.now - SILENT]
+        silent = [n for n in p.streams.needed if newest.get(n, -1.0) < p.now - SILENT]
         p.message = f"no readings of {', '.join(silent)}" if silent else "fills the averaging window"
         p.message += " (tracker: line of sight?)" if "marker" in silent else ""
-        if p.streams.counts["marker"] == p.markers_before and p.in_state_s > NEVER_SEEN_S:
+        never_seen = "marker" in p.streams.needed and p.streams.counts["marker"] == p.markers_before
+        if never_seen and p.in_state_s > NEVER_SEEN_S:
             p.stop(
                 "tracker/point has not sent a single point since the run began: is the tracker measuring, its driver running, and"
                 " the topic in this namespace?"
             )
         return False
     target = None if p.state == "reference" else p.setpoint
-    p.message = unsettled(window, p.settings.settling, p.settings.min_samples, target)
+    if p.settings.without_tracker:
+        lever, names = p.work[p.index][0].lever, p.streams.names
+        p.message = unsettled_by_encoders(window, p.settings.settling, p.settings.min_samples, target, lever, names)
+    else:
+        p.message = unsettled(window, p.settings.settling, p.settings.min_samples, target)
     p.window = window
     return not p.message
 

@@ -208,9 +208,9 @@ class Inputs:
         return True
 
     def marker(self, now: float, stamp: float, frame: str, p: Sequence[float]) -> bool:
-        """Marker in the frame of the station that measured, m. Whether it was taken."""
+        """Marker in the frame of the station that measured, m. Whether it was taken; never in a cell without a tracker."""
         source = "tracker/point"
-        if self.of_before(now, stamp):
+        if "marker" not in self.streams.needed or self.of_before(now, stamp):
             return False
         if frame not in self._stations:
             known = ", ".join(f"'{name}'" for name in self._stations)

@@ -90,6 +90,8 @@ class Procedure:
         self.setpoint = np.zeros(3)
         self.force_before: Array | None = None  # mean force when the set point was changed
         self.force_in_air: Array | None = None  # at the approach of the pose under way
+        self.p_contact: Array | None = None  # TCP by the controller when contact was made at it, m in base_link
+        self.p_pressed: list[Array] = []  # mean of it in each load case that was recorded at the pose
         self.lease_s = 0.0
         self.time = CellTime(simulated)
         self.watch = Watch(self)

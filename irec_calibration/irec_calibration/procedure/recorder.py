@@ -38,6 +38,8 @@ def session_header(cell: Cell, name: str, order_seed: int | None = None) -> dict
         "load_case_names": dict(enumerate(LOAD_CASE_NAMES, 1)),
         "sensor_axis_in_tool": [float(v) for v in sensor.vector("axis_in_tool0", 3)],
     }
+    if cell.without_tracker:
+        header["without_tracker"] = True
     if cell.tool_name:
         header["tool"] = cell.tool_name
     if order_seed is not None:
@@ -117,6 +119,12 @@ class SessionRecorder:
         before = old.attachments.get("robot.urdf", b"").decode("utf-8", "replace")
         if before != cell.robot.urdf_text:
             raise SessionError(f"{self.path}: was recorded with another robot description; start a new run")
+        if (_header_of(old).get("without_tracker") is True) != cell.without_tracker:
+            was, is_ = ("with", "without") if cell.without_tracker else ("without", "with")
+            raise SessionError(
+                f"{self.path}: was recorded {was} a tracker, the cell is {is_} one now (procedure.without_tracker);"
+                " start a new run"
+            )
         self.time_offset = last + 1.0 if last else 0.0
 
     def _completed(self, text: str) -> set[tuple[int, int]]:
@@ -151,9 +159,17 @@ class SessionRecorder:
 
 def _seed_of(old: BagReader, new: int | None) -> int | None:
     """The seed of an earlier part of a run; a new one where it has none."""
+    try:
+        return int(_header_of(old)["load_case_order"]["seed"])
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return new
+
+
+def _header_of(old: BagReader) -> dict[str, Any]:
+    """Content of the session.yaml of an earlier part of a run; empty where it can't be read."""
     next(old.messages(), None)  # attachments are read on the way to the first message
     try:
         header = parse_yaml(old.attachments.get("session.yaml", b"").decode())[0]  # refuses aliases that explode
-        return int(header["load_case_order"]["seed"])
-    except (YamlProblem, KeyError, TypeError, ValueError, OverflowError):
-        return new
+    except (YamlProblem, ValueError):
+        return {}
+    return header if isinstance(header, dict) else {}

@@ -25,6 +25,7 @@ class Settling:
         force_drift_n, marker_drift_m: largest difference of the means of the two halves, beyond their noise, N and m.
         marker_std_m: largest standard deviation of the marker, each axis, m.
         slip_m: largest lateral way of the marker since the reference, m; more means that the contact has slipped.
+            Without a tracker all three go for the TCP: see by_encoders.py.
         hold_s: s that a load case is held before its window begins; gears creep, and the process holds its forces for longer.
     """
 
@@ -42,13 +43,14 @@ class Settings:
 
     Attributes:
         home_speed: share of the joint velocity limits. linear_speed: of the TCP, m/s.
-        window_s: averaging window, s. min_samples: tracker samples that it needs.
+        window_s: averaging window, s. min_samples: tracker samples that it needs; without a tracker joint states.
         force_abort_n: norm of the force that ends the run, N. sensor_range_n: largest valid reading of one axis, N.
         friction: largest ratio of lateral to normal force, safety included.
         timeouts: state -> s. skip_limit: share of the poses that may fail.
         workspace: lower and upper corner (2, 3) of the box that the TCP may be in, cell frame, m.
         reference_distance: m from the reference to contact.
         operator_at_robot: somebody stands at the emergency stop, so that a driver without dead man's switch may press.
+        without_tracker: no tracker measures; joint_states, tcp_pose and force say whether the robot stands.
     """
 
     home_speed: float
@@ -65,6 +67,7 @@ class Settings:
     workspace: Array
     reference_distance: float = 0.003
     operator_at_robot: bool = False
+    without_tracker: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,11 +98,8 @@ def read_settings(cell: Cell) -> Settings:
     s = top.section("procedure")
     s.only(
         "home_speed", "linear_speed", "window_s", "settling", "min_samples", "force_abort_n", "repeats", "timeouts", "skip_limit",
-        "operator_at_robot",
+        "operator_at_robot", "without_tracker",
     )  # fmt: skip
-    stands_there = s.get("operator_at_robot") if "operator_at_robot" in s else False
-    if not isinstance(stands_there, bool):
-        raise CellError(f"{cell.path}: procedure.operator_at_robot is {stands_there!r}; true or false is needed")
     still = s.section("settling")
     needed = ("force_n", "force_drift_n", "marker_drift_m", "marker_std_m", "slip_m")
     still.only(*needed, "hold_s")
@@ -131,7 +131,8 @@ def read_settings(cell: Cell) -> Settings:
         skip_limit=s.number("skip_limit", 0.0, 1.0),
         workspace=workspace,
         reference_distance=cell.reference_distance,
-        operator_at_robot=stands_there,
+        operator_at_robot=_flag(cell, s, "operator_at_robot"),
+        without_tracker=_flag(cell, s, "without_tracker"),
     )
     check_loads(cell, settings)
     held = settings.settling.hold_s + settings.window_s
@@ -141,6 +142,13 @@ def read_settings(cell: Cell) -> Settings:
             f" settling.hold_s and window_s, {held:g} s"
         )
     return settings
+
+
+def _flag(cell: Cell, section: Section, key: str) -> bool:
+    value = section.get(key) if key in section else False
+    if not isinstance(value, bool):
+        raise CellError(f"{cell.path}: procedure.{key} is {value!r}; true or false is needed")
+    return value
 
 
 def check_loads(cell: Cell, settings: Settings) -> None:

@@ -25,7 +25,7 @@ class Window:
 
     Attributes:
         force_in_tool, torque_in_tool: environment on robot at the TCP, (n, 3).
-        p_marker_in_station: (m, 3), all from one station.
+        p_marker_in_station: (m, 3), all from one station; without a tracker (0, 3), and no station.
         q: joints and then external axes as reported, (k, joints). p_tcp_in_base: (l, 3). quat_tcp: (l, 4).
     """
 
@@ -41,8 +41,8 @@ class Window:
 
     @property
     def marker_std(self) -> float:
-        """Standard deviation of the marker, worst axis, m."""
-        return float(self.p_marker_in_station.std(axis=0).max())
+        """Standard deviation of the marker, worst axis, m; NaN without a tracker."""
+        return float(self.p_marker_in_station.std(axis=0).max()) if len(self.p_marker_in_station) else float("nan")
 
     @property
     def force_std(self) -> float:
@@ -51,10 +51,16 @@ class Window:
 
 
 class Streams:
-    """The newest readings of every instrument."""
+    """The newest readings of every instrument.
 
-    def __init__(self, horizon_s: float) -> None:
+    Args:
+        horizon_s: how long they are kept, s.
+        tracker: whether there is one; without it windows hold no marker.
+    """
+
+    def __init__(self, horizon_s: float, tracker: bool = True) -> None:
         self.horizon_s = horizon_s
+        self.needed = ("force", "marker", "joints", "TCP") if tracker else ("force", "joints", "TCP")
         self.names: tuple[str, ...] = ()
         self.temperature: dict[str, float] = {}
         self.counts = {"force": 0, "joints": 0, "TCP": 0, "marker": 0}  # readings so far
@@ -142,17 +148,22 @@ class Streams:
         return _rows(self._force, self._force[-1][0] - length_s)[:, 1:4].mean(axis=0)
 
     def window(self, begin: float, length_s: float) -> Window | None:
-        """The newest window that every stream covers; None while there is none that starts after `begin`."""
+        """The newest window that every stream which is needed covers; None while there is none that starts after `begin`."""
         newest = self.newest()
-        if len(newest) < 4:
+        if any(name not in newest for name in self.needed):
             return None
-        end = min(newest.values())
+        end = min(newest[name] for name in self.needed)
         start = end - length_s
         if start < begin:
             return None
         force, joints, tcp = (_rows(s, start, end) for s in (self._force, self._joints, self._tcp))
+        if not (len(force) and len(joints) and len(tcp)):
+            return None
+        if "marker" not in self.needed:
+            none = np.empty((0, 3))
+            return Window(start, end, force[:, 1:4], force[:, 4:7], none, "", joints[:, 1:], tcp[:, 1:4], tcp[:, 4:8])
         marker = [m for m in self._marker if start < m[0] <= end]
-        if not (len(force) and len(joints) and len(tcp) and marker):
+        if not marker:
             return None
         station = max({m[4] for m in marker}, key=[m[4] for m in marker].count)
         points = np.array([m[1:4] for m in marker if m[4] == station])
@@ -164,7 +175,7 @@ def _rows(stream: deque, begin: float, end: float = np.inf) -> Array:  # type: i
 
 
 def drift(samples: Array) -> Array:
-    """Difference of the means of the two halves that three standard deviations of it do not explain, (3,)."""
+    """Difference of the means of the two halves of samples (n, k) that three standard deviations of it do not explain, (k,)."""
     half = len(samples) // 2
     a, b = samples[:half], samples[half:]
     expected = np.sqrt(a.var(axis=0, ddof=1) / len(a) + b.var(axis=0, ddof=1) / len(b))
@@ -185,6 +196,11 @@ def unsettled(window: Window, s: Settling, min_samples: int, force_target: Array
     moving = float(drift(window.p_marker_in_station).max())
     if moving > s.marker_drift_m:
         return f"marker drifts {moving * 1e6:.1f} um per half window, limit {s.marker_drift_m * 1e6:.1f} um"
+    return force_unsettled(window, s, force_target)
+
+
+def force_unsettled(window: Window, s: Settling, force_target: Array | None) -> str:
+    """What of the force does not stand still in a window, or is not at its set point; empty if it is. Arguments as above."""
     changing = float(drift(window.force_in_tool).max())
     if changing > s.force_drift_n:
         return f"force drifts {changing:.1f} N per half window, limit {s.force_drift_n:.1f} N"

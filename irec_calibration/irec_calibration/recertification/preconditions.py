@@ -22,6 +22,11 @@ from .store import Store
 FREE_DISK = 2e9  # bytes: one full procedure with all raw streams, twice
 SAME_MASS, SAME_MASS_SHARE = 0.5, 0.01  # kg, and share of it: a difference that is another way to state the same tool
 HOLDS, FAILS = "✓ ", "✗ "
+NO_TRACKER = (
+    "the cell file states procedure.without_tracker: true, and a recertification measures with a tracker: what the springs of arm"
+    " and disc share can't be told from a change without one; set up a tracker and take the key out of the cell file, or record a"
+    " session with irec/run_procedure and identify from it with irec solve --without-tracker"
+)
 SAME_MARKER = 5e-3  # m; a reflector that was put on anew
 
 
@@ -48,6 +53,8 @@ def own_preconditions(place: Place, store: Store, request: Request) -> tuple[Pre
     """What can be checked without the cell: operator, model in force, poses, disk space."""
     wrong = not_an_operator(request.operator, place.operators)
     out = [Precondition("operator", not wrong, wrong or request.operator)]
+    if place.without_tracker:
+        out.append(Precondition("tracker", False, NO_TRACKER))
     before: Session | None = None
     try:
         now = store.in_force()

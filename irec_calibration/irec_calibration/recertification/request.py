@@ -36,6 +36,7 @@ class Place:
     Attributes:
         tool: what the cell file states of it; None: not known.
         operators: who may answer for a recertification; empty: whoever gives a name.
+        without_tracker: the cell has none.
     """
 
     cell: str
@@ -45,6 +46,7 @@ class Place:
     acceptance: Acceptance
     tool: Tool | None = None
     operators: tuple[str, ...] = ()
+    without_tracker: bool = False
 
 
 @dataclass(frozen=True)

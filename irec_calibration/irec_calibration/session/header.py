@@ -81,6 +81,9 @@ def _header(document: Document, folder: Path) -> Header:
     noise = data["noise"]
     payload = data.get("payload")
     unknown = [str(k) for k in data if k not in KNOWN]
+    notes = [f"keys of session.yaml ignored: {', '.join(unknown)}"] if unknown else []
+    if data.get("without_tracker", False):
+        notes.append("recorded without a tracker: the marker columns are empty")
     return Header(
         name=str(data.get("name", folder.name)),
         kind=kind,
@@ -105,7 +108,7 @@ def _header(document: Document, folder: Path) -> Header:
         inertials=data.get("inertials", "cad"),
         joint_names=tuple(data["robot"].get("joint_names", ())),
         meta=dict(data),
-        notes=(f"keys of session.yaml ignored: {', '.join(unknown)}",) if unknown else (),
+        notes=tuple(notes),
     )
 
 

@@ -82,6 +82,8 @@ def _stated(session: Session) -> Iterator[str]:
         if size > FAR_M:
             yield f"ext_{name} reaches {size:g}, more than {FAR_M:g} m or rad (mm or degrees?)"
     seen = session.p_marker_in_station[session.marker_seen]
+    if len(seen) and session.meta.get("without_tracker") is True:
+        yield f"without_tracker says that no tracker measured, marker_* has values in {len(seen)} rows: one of the two is wrong"
     if len(seen):
         far = float(np.median(np.linalg.norm(seen, axis=1)))
         if far > FAR_M:

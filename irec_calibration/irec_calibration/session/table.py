@@ -253,7 +253,8 @@ def columns_of(s: Session) -> tuple[list[str], list[list[str]]]:
     for prefix, block in blocks.items():
         for a, axis in enumerate(XYZ):
             put(f"{prefix}_{axis}", block[:, a])
-    table["station"] = [s.stations[i].name for i in s.station]
+    nobody = s.meta.get("without_tracker") is True  # no station measured
+    table["station"] = ["" if nobody else s.stations[i].name for i in s.station]
     if len(s.markers) > 1 or "markers" in s.meta:
         table["marker"] = [s.markers[i].name for i in s.marker]
     for name, value in s.temperature.items():

@@ -69,6 +69,14 @@ def test_a_true_driver_passes_the_passive_level() -> None:
     assert not failures(items) and len(items) > 40
 
 
+def test_no_tracker_is_asked_for_where_the_cell_file_states_that_there_is_none() -> None:
+    blind = replace(CELL, raw={**CELL.raw, "procedure": {**CELL.raw["procedure"], "without_tracker": True}})
+    seen = standing()
+    del seen.streams["tracker/point"]
+    assert "tracker/point is there" in failures(judge_passive(seen, CELL, AXES))
+    assert not failures(judge_passive(seen, blind, AXES))
+
+
 def change(topic: str, **changed: object) -> Callable[[Observation], None]:
     """A fault of one stream; a callable is applied to what is there."""
 

@@ -399,3 +399,11 @@ def test_each_precondition_is_told_before_anything_moves(store: Store) -> None:
     assert lines[0] == "✓ operator: M. Muster"
     assert lines[-1] == "✗ tracker: does not see the marker; free the line of sight"
     assert {line[2:].partition(":")[0] for line in lines} == {"operator", "model", "poses", "disk", "tracker"}
+
+
+def test_a_cell_without_a_tracker_is_refused_before_anything_is_looked_at(tmp_path: Path) -> None:
+    side = FakeCell(problems=(Precondition("tracker", False, "does not see the marker"),))
+    poses = pose_file(tmp_path / "poses.yaml")
+    outcome = recertify(replace(PLACE, without_tracker=True), Store(tmp_path, "S-1"), Request("M. Muster", str(poses)), side)
+    assert outcome.verdict == "failed: tracker" and not side.runs and not side.activated
+    assert "procedure.without_tracker: true" in outcome.text and "does not see" not in outcome.text
