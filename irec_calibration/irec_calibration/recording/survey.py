@@ -237,7 +237,7 @@ def _for_a_session(bag: BagReader, series: dict[str, _Series]) -> tuple[list[str
     note(
         "geometry_msgs/msg/PointStamped",
         "marker positions",
-        "marker positions: no geometry_msgs/PointStamped of a tracker",
+        "marker positions: no geometry_msgs/PointStamped of a tracker (irec solve --without-tracker needs none)",
     )
     note(
         "geometry_msgs/msg/WrenchStamped",
