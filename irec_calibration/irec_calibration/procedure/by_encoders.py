@@ -72,7 +72,7 @@ def slip_problem(window: Window, p_contact: Array, R_tool_in_base: Array, slip_m
         return ""
     return (
         f"the contact slipped, or arm and disc give way by as much: tcp_pose moved by {way * 1e3:.2f} mm across the tool since"
-        f" contact was made, limit {slip_m * 1e3:.2f} mm (settling.slip_m)"
+        f" contact was made, limit {slip_m * 1e3:.2f} mm (settling.slip_m; raise it where the arm is soft across the tool)"
     )
 
 

@@ -90,7 +90,6 @@ def test_a_run_without_a_tracker_gives_a_session_that_a_model_is_identified_from
     for form in (recording, tmp_path / "table"):
         assert main(["solve", str(form), "--without-tracker", "--dof", "6", "-o", str(tmp_path / "m.yaml"), "--json"]) == 0
         figures.append(json.loads(capsys.readouterr().out))
-    print(figures)
     assert figures[0]["effects"] == ["joint_torsion", "disc_compliance"]
     assert figures[0]["cv_rms_m"] == pytest.approx(figures[1]["cv_rms_m"], rel=1e-6)
     assert figures[0]["cv_rms_m"] < 1e-4
