@@ -135,7 +135,7 @@ def block_columns(study: Study, effect: Effect, shape: dict[str, float]) -> tupl
     theta = np.array([shape.get(p.name, 0.0) for p in parameters])
     chosen = [parameters[i] for i in free]
     scale = np.array([p.scale for p in chosen])
-    A = study.columns(study.regressor(effect, theta)[:, :, free] * scale)
+    A = _beside_springs(study, study.columns(study.regressor(effect, theta)[:, :, free] * scale), chosen)
     width = np.array([p.prior_width for p in chosen])
     lower = np.array([p.lower for p in chosen]) / scale
     upper = np.array([p.upper for p in chosen]) / scale
@@ -147,7 +147,23 @@ def block_at(study: Study, variant: Variant, shape: dict[str, float]) -> Block:
     parameters = variant.effect.parameters(study.ready)
     theta = np.array([shape.get(p.name, 0.0) for p in parameters])
     chosen = [i for i, p in enumerate(parameters) if p.name in variant.names]
-    return replace(variant.block, A=study.columns(study.regressor(variant.effect, theta)[:, :, chosen] * variant.scale))
+    A = study.columns(study.regressor(variant.effect, theta)[:, :, chosen] * variant.scale)
+    return replace(variant.block, A=_beside_springs(study, A, [parameters[i] for i in chosen]))
+
+
+def _beside_springs(study: Study, A: Array, parameters: Sequence[Parameter]) -> Array:
+    """Columns of an effect where compliances from which it takes something away (`Parameter.takes_from`) grow by as much.
+
+    The prior of such a compliance is meant for the loaded axis, which is then as soft with the effect as without.
+    """
+    springs = {p.name: j for j, p in enumerate(study.parameters)}
+    out = A
+    for i, p in enumerate(parameters):
+        j = springs.get(p.takes_from)
+        if j is not None:
+            out = A.copy() if out is A else out
+            out[:, i] -= study.base.A[:, j] * (p.scale / study.scale[j])
+    return out
 
 
 def try_option(ground: Ground, option: Option, scene: Scene) -> Trial:

@@ -155,6 +155,27 @@ def test_a_compliance_from_which_stiffening_takes_something_away_has_room_for_it
     assert width["joint_torsion", "c_4"] > loaded
 
 
+def axis_4_is_soft_at_small_torque(scene: Scene) -> Array:
+    def wound(torque: Array) -> Array:
+        return 6e-4 * np.tanh(torque / 120.0)
+
+    angle = np.zeros_like(scene.tau)
+    angle[:, 3] = wound(scene.tau[:, 3] + scene.tau_gravity[:, 3]) - wound(scene.tau_gravity[:, 3])
+    return np.einsum("nik,nk->ni", scene.kin.jacobian(scene.p_observed), angle)
+
+
+def test_a_trial_of_stiffening_leaves_the_compliance_of_the_loaded_axis_as_likely_as_it_was() -> None:
+    found = study(axis_4_is_soft_at_small_torque)
+    family = family_of(found)
+    start = Explanation((), found, 0.0, grow(found.bench, family, found.base))
+    stiffening = next(o for o in options(found)[0] if o.effect.id == "joint_stiffening")
+    trial = try_option(Ground(found.bench, found.base), stiffening, found.ready)
+    assert trial.best.groups == ("axis 4",)
+    one = explain(start, start, trial, family)
+    assert one is not None
+    assert trial.log_evidence > 0.9 * one.named, "the exact fit is no surprise"
+
+
 def test_a_remainder_from_known_products_is_the_same_as_one_from_all_equations() -> None:
     found = study(play_of_axis_4)
     family = family_of(found)
