@@ -148,17 +148,18 @@ class ProcedureNode(Guarded, LifecycleNode):
     def _begin(self, goal: Any) -> None:
         """Start a run. The goal is executed when the run has ended: an executor polls a callback that waits."""
         self._goal, self._errors_in_a_row = goal, 0
-        self._starting.run_asked_for()
         values = {name: self.parameters[name] for name in (p.name for p in PARAMETERS)}
         simulated = bool(self.get_parameter("use_sim_time").value)
         try:
-            self._run = run = ProcedureRun(
+            run = ProcedureRun(
                 goal.request, self.cell, self.settings, values, self._instruments, self._link, simulated
             )
         except IrecError as error:
             self.get_logger().error(str(error))
             self._finish(RunProcedure.Result(success=False, message=str(error)))
             return
+        self._starting.run_asked_for()  # only now: readings queue up while an earlier recording is copied, for seconds
+        self._run = run
         for loss in run.recorder.losses:
             self.get_logger().warning(f"of the earlier part of the recording is lost: {loss}")
         self.get_logger().info(run.begun)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -13,7 +14,7 @@ pytest.importorskip("rclpy", reason="rclpy is missing: run `make test`")
 pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`")
 
 from irec_calibration.cell import read_cell
-from irec_calibration.nodes import procedure_start
+from irec_calibration.nodes import procedure_node, procedure_start
 from irec_calibration.procedure.axes import read_axes
 from irec_calibration.procedure.inputs import Inputs
 from irec_calibration.procedure.standstill import Streams
@@ -100,3 +101,23 @@ def test_a_fault_that_the_robot_told_before_is_not_believed(asked: Asked) -> Non
     assert not asked.check.believes(asked.now, asked.state(NOW + 0.2, RobotState.MODE_FAULT))
     asked.machine = 0.4
     assert asked.check.believes(asked.now, asked.state(asked.now, RobotState.MODE_FAULT))
+
+
+def test_readings_that_queued_up_while_a_long_recording_was_opened_do_not_end_the_run(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(*_: Any) -> Any:
+        asked.machine = 3.0
+        return SimpleNamespace(recorder=SimpleNamespace(losses=[]), begun="")
+
+    monkeypatch.setattr(procedure_node, "ProcedureRun", opened)
+    node: Any = MagicMock(_starting=asked.check)
+    procedure_node.ProcedureNode._begin(node, SimpleNamespace(request=None))
+    assert asked.look(3.01).waits
+    asked.feed(NOW + 0.5)  # from the queue
+    assert not asked.look(3.1).stop
+    asked.look(3.35)
+    asked.machine = 3.4
+    asked.feed(asked.now)
+    asked.check.robot_said(asked.state(asked.now))
+    assert asked.look(3.6).begin
