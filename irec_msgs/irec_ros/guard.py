@@ -9,6 +9,8 @@ import traceback
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -127,6 +129,31 @@ class Guarded:
 
 class GuardedNode(Guarded, Node):
     """A node whose callbacks are guarded."""
+
+
+class GuardedLifecycleNode(Guarded, LifecycleNode):
+    """A lifecycle node whose callbacks are guarded, and which answers who asks for a transition that is not possible now.
+
+    rclpy raises out of its service then, and the caller waits for ever.
+    """
+
+    def __init__(self, *args: Any, **named: Any) -> None:
+        super().__init__(*args, **named)
+        service: Any = self._service_change_state
+        service.callback = self.guarded("service change_state", self._answered(service.callback), _refusal)
+
+    def _answered(self, change: Callback) -> Callback:
+        def answer(request: Any, response: Any) -> Any:
+            state = self._state_machine.current_state[1]
+            try:
+                return change(request, response)
+            except RCLError:
+                asked = request.transition.label or request.transition.id
+                self.get_logger().error(f"transition {asked} is not possible in state '{state}'; nothing has changed")
+                response.success = False
+                return response
+
+        return answer
 
 
 def _refusal(error: Exception, _: Any, response: Any) -> Any:

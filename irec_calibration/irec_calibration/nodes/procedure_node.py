@@ -8,14 +8,14 @@ import threading
 import time
 from typing import Any
 
-from irec_ros.guard import Guarded
+from irec_ros.guard import GuardedLifecycleNode
 from irec_ros.parameters import P, Parameters
 from irec_ros.startup import refuse_unknown_parameters, run_process, spin_until
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.experimental import EventsExecutor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
 from irec_msgs.action import RunProcedure
@@ -49,7 +49,7 @@ PARAMETERS = (
 )
 
 
-class ProcedureNode(Guarded, LifecycleNode):
+class ProcedureNode(GuardedLifecycleNode):
     """Procedure 1 for one cell, a managed node: runs begin while it is active. Parameters: see PARAMETERS.
 
     It listens from the beginning, so that all is known of the robot when it is activated.

@@ -10,17 +10,17 @@ from typing import Any, TypeVar
 
 import rclpy
 from irec_calibration.errors import IrecError
-from irec_ros.guard import Guarded
+from irec_ros.guard import GuardedLifecycleNode
 from irec_ros.startup import begin, spin_until, stop_on_signals
 from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from ..errors import SettingsError
 
 
-class Managed(Guarded, LifecycleNode):
+class Managed(GuardedLifecycleNode):
     """A lifecycle node by what it does in each transition.
 
     A node gives `configure` and `start`, which raise IrecError where they can't, `stop`, and `release`, which takes back what
