@@ -43,6 +43,8 @@ def main() -> int:
     parser.add_argument("--ends", action="store_true", help="print what other values of assumptions give (fibre placement)")
     parser.add_argument("--costs", action="store_true", help="print what each cause of the hard plant costs alone")
     args = parser.parse_args()
+    if args.ends and args.case != "afp":
+        parser.error("--ends is about the plant of fibre placement: tools/case.py afp --ends")
     for number in (signal.SIGINT, signal.SIGTERM):  # also where SIGINT was ignored by who started this
         signal.signal(number, signal.default_int_handler)
     out = ROOT / "out"

@@ -149,7 +149,7 @@ class GuardedLifecycleNode(Guarded, LifecycleNode):
                 return change(request, response)
             except RCLError:
                 asked = request.transition.label or request.transition.id
-                self.get_logger().error(f"transition {asked} is not possible in state '{state}'; nothing has changed")
+                self.get_logger().error(f"transition {asked} is not possible in state '{state}'")
                 response.success = False
                 return response
 
