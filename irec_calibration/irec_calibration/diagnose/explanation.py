@@ -13,7 +13,9 @@ from .candidates import Trial, supported
 from .family import Family
 from .forms import NO_FORMS, Forms, bends
 from .priors import FACTORS
+from .readings import carried
 from .remainder import Part, Remainder, grow
+from .settings import SETTINGS
 from .shape import refit, reshaped
 from .study import Study, study_of
 
@@ -118,7 +120,8 @@ def bent_by_others(one: Explanation, effect_id: str) -> frozenset[int]:
 def implausible(one: Explanation, effect_id: str) -> str:
     """The first value of an effect that can't be, with its limit, in words; empty where there is none.
 
-    A value that the session knows by itself has to lie beyond the limit for certain: by two standard errors.
+    A value that the session knows by itself has to lie beyond the limit for certain: by two standard errors. What moves each
+    reading by itself can't be where the readings at the references do not have it.
     """
     term = one.term(effect_id)
     for p in term.effect.parameters(one.study.ready):
@@ -131,6 +134,9 @@ def implausible(one: Explanation, effect_id: str) -> str:
             limit = low if value < low else high
             unit = "" if p.unit == "1" else f" {p.unit}"
             return f"{p.name} = {value:.3g}{unit} is beyond what is physically likely ({limit:.3g}{unit})"
+    odds = carried(one.study, term)
+    if odds < -SETTINGS.nats_to_name:
+        return f"the readings at the references do not have it (log odds {odds:.0f}, at least {-SETTINGS.nats_to_name:g} needed)"
     axial = (t for t in one.study.terms if t.effect.compliance_of is Axes.ACTUATED)
     compliance = {name: e.value for t in axial for name, e in t.estimates.items()}
     return term.effect.against_springs({name: (e.value, e.se) for name, e in term.estimates.items()}, compliance)
@@ -144,3 +150,12 @@ def everywhere(one: Explanation, effect_id: str) -> bool:
 def in_one_pose(one: Explanation, effect_id: str) -> bool:
     """Whether an effect shows in the differences of one pose only."""
     return one.term(effect_id).effect.evidence is Evidence.ONE_POSE and one.study.ready.kind == "loaded"
+
+
+def shown_by_readings(one: Explanation, effect_id: str) -> float:
+    """Log odds that the readings at the references carry an effect, where they tell; else 0.
+
+    No spring, no law of torque and no structure of the remainder moves them, so nothing of that kind passes for it then.
+    """
+    odds = carried(one.study, one.term(effect_id))
+    return odds if odds > SETTINGS.nats_to_name else 0.0

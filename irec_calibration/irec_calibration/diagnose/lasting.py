@@ -48,8 +48,8 @@ def lasts(study: Study, shift: Term) -> float:
     R = scene.kin.R_tool
     in_base = after[:, None] * d
     with_tool = after[:, None] * (R[rows] @ (R[here].T @ d))
-    ground = _smooth(study, rows)
-    once, stays, turns = (_log_evidence(mean - step, ground) for step in (0.0 * in_base, in_base, with_tool))
+    ground = usually_beyond(study, rows)
+    once, stays, turns = (fitted(mean - step, ground)[0] for step in (0.0 * in_base, in_base, with_tool))
     return float(stays - max(once, turns))
 
 
@@ -67,7 +67,7 @@ def _blocks(pose: IntArray, repeat: IntArray, stamp: Array, seen: Array) -> tupl
     return np.array(first), np.array(mean), np.array(begin), np.array(end)
 
 
-def _smooth(study: Study, rows: IntArray) -> Array:
+def usually_beyond(study: Study, rows: IntArray) -> Array:
     """What absolute readings have beyond the controller's positions, in standard deviations of each cause, (rows, 3, p), m."""
     usual, scene = LASTING, study.observation.scene
     p, q, J = scene.p_observed[rows], scene.q[rows], scene.J[rows]
@@ -86,8 +86,11 @@ def _smooth(study: Study, rows: IntArray) -> Array:
     )  # fmt: skip
 
 
-def _log_evidence(values: Array, columns: Array) -> float:
+def fitted(values: Array, columns: Array) -> tuple[float, Array]:
+    """Log evidence of readings, (rows, 3), m, under columns in standard deviations, (rows, 3, p), m, and scatter of unknown size;
+    and the values of the columns, (p,)."""
     A = columns.reshape(-1, columns.shape[2]) / LASTING.level_m
     free = np.full(A.shape[1], np.inf)
     bench = Bench(values.ravel() / LASTING.level_m, np.repeat(np.arange(len(values)), 3), NoisePrior(dof=LASTING.level_dof))
-    return bench.posterior(Block(A, -free, free, np.ones(A.shape[1]))).log_evidence
+    found = bench.posterior(Block(A, -free, free, np.ones(A.shape[1])))
+    return found.log_evidence, found.x

@@ -14,7 +14,16 @@ from ..effects.traits import Family as Alike
 from ..identification.validation import gain
 from ..typing import Array
 from .evidence import Ground
-from .explanation import Explanation, bent_by_others, everywhere, implausible, in_one_pose, remainder_of, without
+from .explanation import (
+    Explanation,
+    bent_by_others,
+    everywhere,
+    implausible,
+    in_one_pose,
+    remainder_of,
+    shown_by_readings,
+    without,
+)
 from .family import Family
 from .form_errors import evidence_beside
 from .forms import NO_FORMS, Forms, forms_of
@@ -65,8 +74,10 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
     A drift of another form, and a link that tilts instead of an axis that turns, is no rival unless it explains more than what is
     not told apart.
     A curve of few coefficients has a cause's form only nearly: a share of what the nonparametric structures explain counts for
-    them.
+    them. Where the readings at the references have the effect, which no structure moves, none is its rival.
     """
+    if shown_by_readings(one, effect_id):
+        return one.named - bare.named
     forms = forms_of(one.term(effect_id), one.study.ready)
     forms = replace(forms, axes=forms.axes - bent_by_others(one, effect_id))
 
@@ -126,7 +137,8 @@ def proven(start: Explanation, one: Explanation, family: Family, settings: Setti
         bare = {i: without(start, one, i, family) for i in one.ids}
         evidence = {i: odds_of(one, b, i, family, settings) for i, b in bare.items()}
         share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
-        least = {i: needed(one, i, settings) + (0.0 if everywhere(one, i) else left[i]) for i in one.ids}
+        surely = {i for i in one.ids if everywhere(one, i) or shown_by_readings(one, i)}
+        least = {i: needed(one, i, settings) + (0.0 if i in surely else left[i]) for i in one.ids}
         weak = [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
         if not weak:
             return one, evidence

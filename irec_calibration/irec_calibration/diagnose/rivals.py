@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from ..effects.traits import Family as Alike
 from .candidates import Option, try_option
 from .evidence import Ground
-from .explanation import Explanation, explain, implausible, remainder_of, reshaped_again, without
+from .explanation import Explanation, explain, implausible, remainder_of, reshaped_again, shown_by_readings, without
 from .family import Family
 from .forms import Forms, forms_of
 from .settings import Settings
@@ -24,6 +24,7 @@ def rivals_of(
 
     Two laws of an axis' torque (play, stiffening, friction, counterbalance) are told apart by what is told apart otherwise
     (`nats_to_separate`), not by what is preferred, and by a share of the name's evidence: gears follow none of them exactly.
+    What the readings at the references carry has no rival that they carry less.
 
     Args:
         near: added effect -> effects that were about as good when it came in, each with its explanation then.
@@ -46,6 +47,7 @@ def rivals_of(
         ground = Ground(rest.bench, rest.base)
         forms = forms_of(term, final.study.ready)
         whole = _without_forms(final, family, forms)
+        shown = shown_by_readings(final, term.effect.id)
         same = []
         for other, then in others.items():
             trial = try_option(ground, by_id[other], rest.ready)
@@ -53,6 +55,8 @@ def rivals_of(
                 continue
             one = explain(start, bare, trial, family)
             if one is None or implausible(one, other):  # no value that can be is no rival
+                continue
+            if shown - shown_by_readings(one, other) > settings.nats_to_separate:
                 continue
             law = term.effect.family is Alike.TORQUE_LAW and other in alike
             if law:  # as the shapes of the model with the name were found beside each other, so are these

@@ -95,6 +95,7 @@ class Effect(ABC):
         needs_elastic: reads `scene.elastic`.
         needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`, `tracker`,
             `relaxed` (a reference row without load).
+        in_readings: moves each reading of a loaded session by itself, and by far more than the differences that it is found in.
         registers: places instruments of an absolute session; belongs to the session, not to the robot.
         evidence: where a session shows it.
         family: effects that pass for each other; None: not known (effects of users).
@@ -115,6 +116,7 @@ class Effect(ABC):
     elastic: ClassVar[bool] = False
     needs_elastic: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ()
+    in_readings: ClassVar[bool] = False
     registers: ClassVar[bool] = False
     evidence: ClassVar[Evidence] = Evidence.DISPLACEMENTS
     family: ClassVar[Family | None] = None

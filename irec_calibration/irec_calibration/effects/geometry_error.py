@@ -26,6 +26,7 @@ class GeometryError(Effect):
     chosen_by_poses = True
     cause = Cause.STATE
     needs = ("tracker",)
+    in_readings = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         out = []

@@ -25,6 +25,7 @@ class MarkerOffset(Effect):
     cause = Cause.MEASUREMENT
     needs_elastic = True
     needs = ("tracker",)
+    in_readings = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         if not all(scene.instruments.marker_known):  # an unknown marker is free already: marker_position

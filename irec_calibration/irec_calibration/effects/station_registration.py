@@ -25,6 +25,7 @@ class StationRegistration(Effect):
     cause = Cause.MEASUREMENT
     needs_elastic = True
     needs = ("tracker",)
+    in_readings = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(

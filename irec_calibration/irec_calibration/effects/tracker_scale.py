@@ -23,6 +23,7 @@ class TrackerScale(Effect):
     cause = Cause.MEASUREMENT
     needs_elastic = True
     needs = ("tracker",)
+    in_readings = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return (Parameter("s", "1", 0.01, -0.5, 0.5, plausible=(-0.1, 0.1)),)

@@ -95,10 +95,10 @@ def test_a_shape_is_found_again_where_it_was_wrong() -> None:
 @pytest.mark.parametrize(("se", "alone", "can_be"), [(0.004, True, True), (0.002, True, False), (0.004, False, False)])
 def test_a_value_that_may_lie_within_what_is_likely_is_not_beyond_it(se: float, alone: bool, can_be: bool) -> None:
     found = study()
-    high = find_effect("tracker_scale").parameters(found.ready)[0].plausible_range[1]
-    term = Term(find_effect("tracker_scale"), {"s": Estimate(high + 0.006, se, identified=alone)})
+    high = find_effect("creep").parameters(found.ready)[0].plausible_range[1]
+    term = Term(find_effect("creep"), {"share": Estimate(high + 0.006, se, identified=alone)})
     one = Explanation((term,), found, 0.0, grow(found.bench, family_of(found), found.base))
-    assert (implausible(one, "tracker_scale") == "") == can_be
+    assert (implausible(one, "creep") == "") == can_be
 
 
 def law(effect: str, axes: tuple[int, ...], **values: float) -> Term:

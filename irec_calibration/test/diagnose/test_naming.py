@@ -67,7 +67,7 @@ def test_no_evidence_makes_up_for_held_out_poses_that_get_no_better(monkeypatch:
 
 def held(monkeypatch: pytest.MonkeyPatch, own: float, in_place: float, left: float = 0.0, rows: int = 0) -> float:
     """What is held against `needed` for a name of own evidence, where structures in its place and left beside it have some."""
-    term = SimpleNamespace(effect=SimpleNamespace(family=None))
+    term = SimpleNamespace(effect=SimpleNamespace(family=None, in_readings=False))
     one: Any = SimpleNamespace(
         named=own, ids=("joint_backlash",), study=SimpleNamespace(ready=None), term=lambda _: term,
         remainder=SimpleNamespace(gained=left, parts=(), bad_rows=(None,) * rows),
@@ -92,7 +92,7 @@ def test_the_general_law_of_an_axis_is_a_rival_where_another_effect_bends_its_cu
         return SimpleNamespace(gained=0.0)
 
     rest = SimpleNamespace(gained=0.0, parts=(), bad_rows=())
-    term = SimpleNamespace(effect=SimpleNamespace(family=None))
+    term = SimpleNamespace(effect=SimpleNamespace(family=None, in_readings=False))
     one: Any = SimpleNamespace(named=50.0, study=SimpleNamespace(ready=None), term=lambda _: term, remainder=rest)
     bare: Any = SimpleNamespace(named=0.0, study=None, remainder=rest)
     monkeypatch.setattr(naming, "forms_of", lambda *_: Forms(axes=frozenset({1, 3})))

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What readings at the references say about effects that move each reading by itself, and by which springs pass for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import start_terms
+from irec_calibration.diagnose.candidates import try_effect
+from irec_calibration.diagnose.explanation import Explanation, implausible, shown_by_readings
+from irec_calibration.diagnose.family import family_of
+from irec_calibration.diagnose.naming import odds_of
+from irec_calibration.diagnose.readings import carried
+from irec_calibration.diagnose.remainder import grow
+from irec_calibration.diagnose.settings import SETTINGS
+from irec_calibration.diagnose.shape import refit
+from irec_calibration.diagnose.study import Study, prepare
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.scene import Scene
+from irec_calibration.model import Estimate, Term
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+STATION = np.array([4.0, -2.0, 1.0])
+
+
+def long_lengths(scene: Scene) -> Array:
+    return 0.05 * (scene.p_observed - STATION)
+
+
+def turned_station(scene: Scene) -> Array:
+    return np.cross([0.02, 0.0, 0.03], scene.p_observed - STATION)
+
+
+def marker_elsewhere(scene: Scene) -> Array:
+    return scene.kin.R_tool @ np.array([0.03, 0.0, 0.05])
+
+
+def soft_tool(scene: Scene) -> Array:
+    """Moves the marker under load only, and along the tool as a wrong scale would."""
+    return 6e-8 * np.einsum("nij,nj->ni", scene.kin.R_tool, scene.force_in_tool)
+
+
+TRUE = {
+    "tracker_scale": {"s": 0.05}, "station_registration": {"w_x_A": -0.02, "w_y_A": 0.0, "w_z_A": -0.03},
+    "marker_offset": {"d_x": 0.03, "d_y": 0.0, "d_z": 0.05},
+}  # fmt: skip
+CAUSES = {"tracker_scale": long_lengths, "station_registration": turned_station, "marker_offset": marker_elsewhere}
+
+
+@cache
+def found(hidden: Callable[[Scene], Array], effect: str) -> tuple[Study, Term]:
+    """A session with something hidden, and an effect fitted to it."""
+    measured = synthetic.session(poses=20, seed=5, extra=hidden)
+    study = prepare(measured, start_terms(measured)).to_weigh
+    trial = try_effect(study, find_effect(effect))
+    fitted = refit(study, trial) if trial else None
+    assert fitted is not None
+    return fitted, fitted.terms[-1]
+
+
+def explanation(study: Study, term: Term) -> Explanation:
+    return Explanation((term,), study, 20.0, grow(study.bench, family_of(study), study.base))
+
+
+@pytest.mark.parametrize("effect", CAUSES)
+def test_readings_carry_what_an_instrument_does_to_them(effect: str) -> None:
+    study, _ = found(CAUSES[effect], effect)
+    right, wrong = ({n: Estimate(sign * v, 0.002) for n, v in TRUE[effect].items()} for sign in (1.0, -1.0))
+    assert carried(study, Term(find_effect(effect), right)) > SETTINGS.nats_to_name
+    assert carried(study, Term(find_effect(effect), wrong)) <= 0.0
+
+
+@pytest.mark.parametrize("effect", CAUSES)
+def test_what_is_found_in_differences_alone_is_no_error_of_the_instrument(effect: str) -> None:
+    study, fitted = found(soft_tool, effect)
+    large = {n: Estimate(0.05, 0.005) for n in fitted.estimates}
+    term = Term(fitted.effect, large)
+    assert carried(study, term) < -SETTINGS.nats_to_name
+    assert "readings at the references do not have it" in implausible(explanation(study, term), effect)
+    assert shown_by_readings(explanation(study, term), effect) == 0.0
+
+
+def test_readings_say_nothing_about_springs_and_about_what_is_small() -> None:
+    study, _ = found(soft_tool, "tracker_scale")
+    spring = Term(find_effect("tool_compliance"), {"t_x": Estimate(6e-8, 1e-9)})
+    assert carried(study, spring) == 0.0
+    small = Term(find_effect("tracker_scale"), {"s": Estimate(1e-5, 1e-5)})
+    assert abs(carried(study, small)) < SETTINGS.nats_to_prefer
+
+
+def test_no_structure_is_a_rival_of_what_readings_carry() -> None:
+    study, fitted = found(long_lengths, "tracker_scale")
+    one = explanation(study, fitted)
+    assert shown_by_readings(one, "tracker_scale") > SETTINGS.nats_to_name
+    family = family_of(study)
+    bare = Explanation((), prepare(study.session, start_terms(study.session)).to_weigh, 3.0, one.remainder)
+    assert odds_of(one, bare, "tracker_scale", family, SETTINGS) == pytest.approx(17.0)
