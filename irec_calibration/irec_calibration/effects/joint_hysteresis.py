@@ -86,11 +86,12 @@ class JointHysteresis(Effect):
         """Displacement per unit of each slider: minus the part of the torque that it holds (the stop operator)."""
         r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
         played = np.zeros((len(scene), len(r), scene.n_joints))
-        for i in np.lexsort((scene.load_case, scene.stamp)):
-            before = scene.previous[i]
-            # relaxed at the reference: the operator starts in the middle of its band, at zero process torque
-            last = released(played[before], scene.tau[before], freed * scene.step[i]) if before >= 0 else 0.0
-            played[i] = np.clip(last, scene.tau[i] - r, scene.tau[i] + r)
+        for n, rows in enumerate(scene.rows.in_turn):
+            tau, last = scene.tau[rows][:, None], np.zeros(())
+            if n:  # relaxed at the reference: the operator starts in the middle of its band, at zero process torque
+                before = scene.previous[rows]
+                last = released(played[before], scene.tau[before][:, None], freed * scene.step[rows][:, None])
+            played[rows] = np.clip(last, tau - r, tau + r)
         held = by_slider(played - scene.tau[:, None, :], 1)
         return np.concatenate([(scene.J * held[:, None, i])[:, :, scene.driven] for i in range(len(SLIDERS))], axis=2)
 

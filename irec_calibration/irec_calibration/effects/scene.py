@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -46,11 +44,6 @@ class Scene:
 
     def __len__(self) -> int:
         return len(self.rows.stamp)
-
-    @cached_property
-    def remembered(self) -> dict[str, Any]:
-        """What functions of this very scene keep for the next call, by a name of their own."""
-        return {}
 
     # -- rows --
 

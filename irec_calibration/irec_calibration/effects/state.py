@@ -39,6 +39,14 @@ class Rows:
     previous: IntArray
     clock: str = "time"
 
+    @cached_property
+    def in_turn(self) -> tuple[IntArray, ...]:
+        """Rows with no row before them, those that come right after one of these, and so on."""
+        out = [np.flatnonzero(self.previous < 0)]
+        while len(out[-1]):
+            out.append(np.flatnonzero(np.isin(self.previous, out[-1])))
+        return tuple(out[:-1])
+
     @property
     def under_load(self) -> BoolArray:
         """Rows in which a load acts: all of an absolute session, those with a load case of a loaded one, (n,)."""
@@ -90,6 +98,11 @@ class View:
     arm: Arm
     p_observed: Array
     moves_with_arm: BoolArray
+
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What functions of this place keep for the next call, by a name of their own."""
+        return {}
 
     @cached_property
     def J(self) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from ..effects.scene import Scene
 from ..effects.state import ElasticResponse
 from ..errors import ModelError
 from ..typing import Array, Json
+from .springs import displacement_at, is_kept, response_of
 
 SIX_DOF = ("joint_torsion",)
 EIGHTEEN_DOF = ("joint_torsion", "link_bending")
@@ -22,7 +23,6 @@ GEOMETRIC = ("station_pose", "marker_position", "geometry_error")  # where absol
 
 
 NO_UNIT = ("1", "0 or 1")
-ROWS_REMEMBERED = 3000  # of a scene up to which the columns of its springs are kept
 
 
 @dataclass(frozen=True)
@@ -191,43 +191,19 @@ def apply_wrench_effects(terms: Sequence[Term], scene: Scene) -> Scene:
 
 def displacement_of(term: Term, scene: Scene) -> Array:
     """Displacement of the observed point by one term, (n, 3), m."""
-    return term.effect.displacement(scene, term.theta(term.effect.parameters(scene)))
+    theta = term.theta(term.effect.parameters(scene))
+    return displacement_at(term.effect, theta, scene) if is_kept(term.effect, scene) else term.effect.displacement(scene, theta)
 
 
 def elastic_response(terms: Sequence[Term], scene: Scene) -> ElasticResponse:
-    """How the springs among the terms answer, by differences in wrench and observed point (they are linear in both)."""
-    springs = [t for t in terms if t.effect.elastic]
-    total = np.zeros((len(scene), 3, 10))
-    for term in springs:
-        parameters = term.effect.parameters(scene)
-        effect, theta = term.effect, term.theta(parameters)
-        if type(effect).displacement is not Effect.displacement or any(p.grid for p in parameters):  # not linear in them
-            total += _answers(lambda s, e=effect, x=theta: e.displacement(s, x), scene)  # type: ignore[misc]
-            continue
-        name = f"answers of {effect.id}"
-        if name not in scene.remembered:
-            columns = _answers(lambda s, e=effect, x=theta: e.regressor(s, np.zeros_like(x)), scene)  # type: ignore[misc]
-            if len(scene) > ROWS_REMEMBERED:
-                total += columns @ theta
-                continue
-            scene.remembered[name] = columns
-        total += scene.remembered[name] @ theta
-    x, y, z = np.moveaxis(total[:, :, 7:], 2, 0)  # u(p + e) - u(p) = rotation x e
-    rotation = np.stack([y[:, 2], z[:, 0], x[:, 1]], axis=1)
-    return ElasticResponse(total[:, :, 0], rotation, total[:, :, 1:7])
-
-
-def _answers(answer: Callable[[Scene], Array], scene: Scene) -> Array:
-    """What springs do in a scene, what they do more by one unit of each wrench component and seen one metre further in base x,
-    y, z: (n, 3, 10), or (n, 3, 10, p) for their columns."""
-    u = answer(scene)
-    out = [u]
-    for i in range(6):
-        unit = np.zeros((len(scene), 6))
-        unit[:, i] = 1.0
-        out.append(answer(scene.with_wrench(scene.force_in_tool + unit[:, :3], scene.torque_in_tool + unit[:, 3:])) - u)
-    out += [answer(scene.seen_at(scene.p_observed + e)) - u for e in np.eye(3)]
-    return np.stack(out, axis=2)
+    """How the springs among the terms answer (they are linear in the wrench, and in where they are seen)."""
+    n = len(scene)
+    u, rotation, compliance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 6))
+    for term in terms:
+        if term.effect.elastic:
+            one = response_of(term.effect, term.theta(term.effect.parameters(scene)), scene)
+            u, rotation, compliance = u + one.displacement, rotation + one.rotation, compliance + one.compliance
+    return ElasticResponse(u, rotation, compliance)
 
 
 def prepared(terms: Sequence[Term], scene: Scene) -> Scene:

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How springs answer at one place of the arm. They are linear in the wrench, so what they do is kept and costs a product at any
+other wrench: where the force sensor is in doubt, a fit asks for it thousands of times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..effects import Effect
+from ..effects.scene import Scene
+from ..effects.state import ElasticResponse, Gravity, Rows
+from ..typing import Array
+
+ROWS_KEPT = 3000  # of a scene up to which it is kept
+
+
+class Answer(NamedTuple):
+    """What springs do at the observed point and seen one metre further in base x, y and z: without a process wrench,
+    (n, 3, 4), m, and by each unit of its components in tool0, (n, 3, 4, 6); of their parameters where there is a last axis p."""
+
+    at_rest: Array
+    by_wrench: Array
+
+    def at(self, theta: Array) -> Answer:
+        """At values of the parameters, (p,)."""
+        return Answer(self.at_rest @ theta, self.by_wrench @ theta)
+
+    def response(self, scene: Scene) -> ElasticResponse:
+        """What effects see of it under a scene's wrench."""
+        u = self.at_rest + np.einsum("nijk,nk->nij", self.by_wrench, _wrench(scene))
+        return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), self.by_wrench[:, :, 0])
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """An answer with what it was computed for."""
+
+    effect: Effect
+    rows: Rows
+    gravity: Gravity
+    columns: Answer
+    values: dict[bytes, Answer]
+
+    def fits(self, effect: Effect, scene: Scene) -> bool:
+        return self.effect is effect and self.rows is scene.rows and self.gravity is scene.gravity
+
+
+def is_kept(effect: Effect, scene: Scene) -> bool:
+    """Whether an effect is a spring that is linear in its parameters, on a scene that is not too large to keep what it does."""
+    linear = type(effect).displacement is Effect.displacement and not any(p.grid for p in effect.parameters(scene))
+    return effect.elastic and effect.acts_on == "arm" and linear and len(scene) <= ROWS_KEPT
+
+
+def response_of(effect: Effect, theta: Array, scene: Scene) -> ElasticResponse:
+    """What effects see of a spring at values of its parameters: as it is kept, or asked anew."""
+    if is_kept(effect, scene):
+        return answer_of(effect, theta, scene).response(scene)
+    u = effect.displacement(scene, theta)
+    pressed = [scene.with_wrench(scene.force_in_tool + e[:3], scene.torque_in_tool + e[3:]) for e in np.eye(6)]
+    further = [scene.seen_at(scene.p_observed + e) for e in np.eye(3)]
+    by_wrench, by_place = (np.stack([effect.displacement(s, theta) - u for s in there], axis=2) for there in (pressed, further))
+    return ElasticResponse(u, _rotation(by_place), by_wrench)
+
+
+def answer_of(effect: Effect, theta: Array, scene: Scene) -> Answer:
+    """What a spring that is kept answers at values of its parameters, whatever the wrench of the scene."""
+    known = scene.view.kept.get(effect.id)
+    if not isinstance(known, _Kept) or not known.fits(effect, scene):
+        columns = _asked(lambda s: effect.regressor(s, np.zeros_like(theta)), scene)
+        known = scene.view.kept[effect.id] = _Kept(effect, scene.rows, scene.gravity, columns, {})
+    key = theta.tobytes()
+    if key not in known.values:
+        known.values.clear()  # a fit asks for the same values under many wrenches, then for others
+        known.values[key] = known.columns.at(theta)
+    return known.values[key]
+
+
+def displacement_at(effect: Effect, theta: Array, scene: Scene) -> Array:
+    """Displacement of the observed point by a spring that is kept, (n, 3), m."""
+    found = answer_of(effect, theta, scene)
+    moved: Array = found.at_rest[:, :, 0] + np.einsum("nik,nk->ni", found.by_wrench[:, :, 0], _wrench(scene))
+    return moved
+
+
+def _rotation(further: Array) -> Array:
+    """Small rotation, (n, 3), by which the displacement is more by (n, 3, 3) one metre further in x, y and z: rotation x e."""
+    x, y, z = np.moveaxis(further, 2, 0)
+    return np.stack([y[:, 2], z[:, 0], x[:, 1]], axis=1)
+
+
+def _wrench(scene: Scene) -> Array:
+    return np.concatenate([scene.force_in_tool, scene.torque_in_tool], axis=1)
+
+
+def _asked(answer: Callable[[Scene], Array], scene: Scene) -> Answer:
+    none = np.zeros((len(scene), 3))
+    at_rest, by_wrench = [], []
+    for e in np.concatenate([np.zeros((1, 3)), np.eye(3)]):
+        there = scene.seen_at(scene.p_observed + e)
+        rest = answer(there.with_wrench(none, none))
+        units = [answer(there.with_wrench(none + unit[:3], none + unit[3:])) - rest for unit in np.eye(6)]
+        at_rest.append(rest)
+        by_wrench.append(np.stack(units, axis=2))
+    return Answer(np.stack(at_rest, axis=2), np.stack(by_wrench, axis=2))
