@@ -12,12 +12,14 @@ from ..typing import Array
 
 LEVELS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of the springs' priors, tried on each session
 FACTORS = np.array([0.1, 0.5, 2.5, 12.5])  # of an effect's prior width
+FACTOR_OF_FORM = 2.0  # within which it is known how large what completes the springs' form is, one standard deviation
 
 
-def choices(owners: Sequence[Effect]) -> Iterator[Array]:
-    """Multiples of the prior widths to choose from by evidence, one set after the other, each (k, p).
+def choices(owners: Sequence[Effect]) -> Iterator[tuple[Array, Array]]:
+    """Multiples of the prior widths to choose from by evidence, one set after the other, each (k, p), and log odds of each, (k,).
 
-    First the effects that every robot has, at all combinations of their levels, then every further effect by itself.
+    First the effects that every robot has, at all combinations of their levels, then every further effect by itself. How large
+    what completes the form of springs is, is known beforehand but for a factor; of the others nothing is.
 
     Args:
         owners: the effect of each parameter, (p,).
@@ -27,6 +29,13 @@ def choices(owners: Sequence[Effect]) -> Iterator[Array]:
     levels = np.ones((1, len(owner)))
     for name in everywhere:
         levels = np.array([np.where(owner == name, level, row) for row in levels for level in LEVELS])
-    yield levels
-    for name in dict.fromkeys(e.id for e in owners if not e.everywhere):
-        yield np.where(owner == name, FACTORS[:, None], 1.0)
+    yield levels, np.zeros(len(levels))
+    for effect in {e.id: e for e in owners if not e.everywhere}.values():
+        tried = np.array(LEVELS) if effect.completes else FACTORS
+        odds = log_odds_of_form(tried) if effect.completes else np.zeros(len(tried))
+        yield np.where(owner == effect.id, tried[:, None], 1.0), odds
+
+
+def log_odds_of_form(level: Array) -> Array:
+    """Log odds of levels of what completes the form of springs, against its usual size, (k,)."""
+    return np.asarray(-0.5 * (np.log(level) / np.log(FACTOR_OF_FORM)) ** 2)

@@ -98,6 +98,10 @@ class Settings(Thresholds):
     nats_to_prefer: float = threshold(
         2.3, "nats", "a name needs over every other effect in its place", "odds of 10; closer ones are given as one of several",
     )  # fmt: skip
+    nats_for_form: float = threshold(
+        2.3, "nats", "evidence against what completes the form of springs (`bending_place`), above which a model is without it",
+        "prior odds of 10: every robot has it to some extent",
+    )  # fmt: skip
     share_of_rival: float = threshold(
         0.5, "share of evidence", "of the name, that a rival must bring by itself, without what has no name beside it",
         "less than half, and it is nonparametric structure that stands in the name's place",

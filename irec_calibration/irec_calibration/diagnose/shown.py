@@ -7,12 +7,15 @@ of a model in the end must be what every other command says of it on the same se
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from ..identification.validation import gain
+from ..model import Term
 from ..session.data import Session
 from .assessment import Assessment
 from .held_out import Validated, validated
+from .settings import SETTINGS
 from .study import form_evidence, study_of
 
 
@@ -22,10 +25,10 @@ class Shown:
 
     Attributes:
         asked: as it was asked about.
-        form: ids of effects that complete the form of its springs; completed: with them, None where they earn nothing here.
+        form: ids of effects that complete the form of its springs; completed: with them, None where it is better without.
         form_evidence: log evidence for them, beside the effects that were added where these hide it.
         after: with every effect that was added, too; the best of the others where none was.
-        without_form: `after` without the form, where that earns something only beside the added effects; else None.
+        without_form: `after` without the form, where that is better only beside the added effects; else None.
     """
 
     asked: Validated
@@ -34,6 +37,12 @@ class Shown:
     completed: Validated | None
     after: Validated
     without_form: Validated | None = None
+
+    @property
+    def form_matters(self) -> bool:
+        """Whether the session shows what completes the form; else the model has it because every robot has."""
+        plain, whole = (self.asked, self.completed) if self.without_form is None else (self.without_form, self.after)
+        return self.form_evidence > 0.0 and whole is not None and whole.held_out.rms_m < plain.held_out.rms_m
 
 
 def shown_of(session: Session, asked: Validated, assessment: Assessment, check: Callable[[], None]) -> Shown:
@@ -44,12 +53,9 @@ def shown_of(session: Session, asked: Validated, assessment: Assessment, check: 
     """
     start = assessment.built.start.study
     form = tuple(t.effect.id for t in start.terms[len(assessment.asked.terms) :])
-    odds = form_evidence(assessment.asked, start)
-    completed = None
-    if form and odds > 0.0:
-        whole = validated(session, start.terms)
-        completed = whole if whole.held_out.rms_m < asked.held_out.rms_m else None
-        check()
+    # what is missing may hide the form: without any effect that was added it has to show itself
+    odds, completed = _with_form(session, asked, start.terms, must_show=bool(assessment.added)) if form else (0.0, None)
+    check()
     if not assessment.added:
         return Shown(asked, form, odds, completed, completed or asked)
     final = assessment.study
@@ -57,14 +63,29 @@ def shown_of(session: Session, asked: Validated, assessment: Assessment, check: 
         after = validated(session, final.terms)
         check()
         return Shown(asked, form, odds, completed, after)
-    # what is missing in the model that was asked about may have hidden the form
-    bare = [t for t in final.terms if t.effect.id not in form]
-    without = validated(session, bare)
+    without = validated(session, [t for t in final.terms if t.effect.id not in form])
     check()
-    beside = form_evidence(study_of(final.observation, bare), final)
-    if beside > 0.0:
-        whole = validated(session, final.terms)
-        check()
-        if whole.held_out.rms_m < without.held_out.rms_m:
-            return Shown(asked, form, beside, None, whole, without)
+    beside, whole = _with_form(session, without, final.terms)
+    check()
+    if whole is not None:
+        return Shown(asked, form, beside, None, whole, without)
     return Shown(asked, form, odds, None, without)
+
+
+def _with_form(
+    session: Session, plain: Validated, terms: Sequence[Term], must_show: bool = False
+) -> tuple[float, Validated | None]:
+    """Log evidence for what completes the form of a model's springs, and the model with it; None where it is better without.
+
+    At the noise of the model without it, which the rows that stand out there do not spoil.
+
+    Args:
+        terms: of the model with it; must_show: it is better without unless evidence and held-out error ask for it.
+    """
+    odds = form_evidence(plain.study, study_of(plain.study.observation, terms))
+    if odds <= (0.0 if must_show else -SETTINGS.nats_for_form):
+        return odds, None
+    whole = validated(session, terms)
+    mean, se, _ = gain(plain.held_out, whole.held_out)
+    worse = whole.held_out.rms_m >= plain.held_out.rms_m if must_show else mean < -SETTINGS.held_out_sigmas * se
+    return odds, None if worse else whole

@@ -16,14 +16,17 @@ from ..identification.absolute import completed, thinned
 from ..identification.identify import Fit, fit, observe_with_force_noise
 from ..identification.observe import Observation
 from ..identification.system import linearise
+from ..identification.validation import RIDGE
 from ..model import Term, apply_wrench_effects, elastic_response
 from ..session.data import Session
 from ..typing import Array
 from .evidence import Bench, Block, NoisePrior
-from .priors import FACTORS, choices
+from .priors import LEVELS, choices, log_odds_of_form
 
 if TYPE_CHECKING:
     from .remainder import Part
+
+ROUNDS = 2  # in which widths of priors follow the springs; a third changes them by less than a per cent
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,7 @@ def form_evidence(asked: Study, completed: Study) -> float:
     if len(asked.terms) == len(completed.terms):
         return 0.0
     plain, whole = (s.bench.posterior(s.base).log_evidence for s in (asked, completed))
-    return float(whole - plain - log(len(FACTORS)))
+    return float(whole - plain - log(np.exp(log_odds_of_form(np.array(LEVELS))).sum()))
 
 
 def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
@@ -141,14 +144,18 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     owners = [terms[i].effect.id for i in system.owner]
     believed = NoisePrior(scale=1.0 / observation.whiten.level)
     bench = Bench(system.b, system.pose.astype(np.int64), believed)
-    width = _beside_softening(own, system.parameters, system.scale)
-    block = Block(system.A, system.lower, system.upper, width)
-    for rows in choices([terms[i].effect for i in system.owner]):
+    block = Block(system.A, system.lower, system.upper, _beside_softening(own, system.parameters, system.scale))
+    follows = _going_with(system.parameters)
+    for rows, log_odds in choices([terms[i].effect for i in system.owner]):
+        soft = _softness(bench, block, follows)
         tried = own * rows
-        widths = np.array([_beside_softening(w, system.parameters, system.scale) for w in tried])
-        best = int(np.argmax(bench.evidence_over_widths(block, widths)))
-        own, width = tried[best], widths[best]
-        block = replace(block, width=width)
+        widths = soft * np.array([_beside_softening(w, system.parameters, system.scale) for w in tried])
+        best = int(np.argmax(bench.evidence_over_widths(block, widths) + log_odds))
+        own, block = tried[best], replace(block, width=widths[best])
+    for _ in range(ROUNDS if follows else 0):  # the springs depend a little on what goes with them
+        narrow = _beside_softening(own, system.parameters, system.scale)
+        block = replace(block, width=_softness(bench, block, follows) * narrow)
+    width = block.width
     result = fit(terms, observation, prior_width=width)
     system = linearise(result.terms, observation)
     ready = apply_wrench_effects(result.terms, scene)
@@ -177,6 +184,28 @@ def _beside_softening(width: Array, parameters: Sequence[Parameter], scale: Arra
         if p.takes_from in at:
             j = at[p.takes_from]
             out[j] = np.hypot(out[j], width[i] * scale[i] / scale[j])
+    return out
+
+
+def _going_with(parameters: Sequence[Parameter]) -> dict[int, int]:
+    """Parameters whose size follows from a compliance (`Parameter.goes_with`), and that one: places in the list."""
+    at = {p.name: i for i, p in enumerate(parameters)}
+    return {i: at[p.goes_with] for i, p in enumerate(parameters) if p.goes_with in at}
+
+
+def _softness(bench: Bench, block: Block, follows: dict[int, int]) -> Array:
+    """Multiples of prior widths by how soft the springs are that parameters go with, (p,): the RMS of what the session says.
+
+    A width that goes with c and holds for c = 1 (scaled) has the mean square c^2 + its variance.
+    """
+    out = np.ones(len(block.width))
+    if follows:
+        x = bench.posterior(block).x
+        G = block.A.T @ block.A
+        precision = np.maximum(block.width**-2.0, RIDGE * max(float(G.diagonal().max()), 1e-30))
+        variance = np.linalg.inv(G + np.diag(precision)).diagonal()
+        for i, j in follows.items():
+            out[i] = np.sqrt(x[j] ** 2 + variance[j])
     return out
 
 

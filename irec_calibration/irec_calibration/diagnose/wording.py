@@ -134,8 +134,11 @@ def _noise(noise: InferredNoise) -> list[str]:
 
 
 def _form(shown: Shown) -> list[str]:
-    """What completes the form of the model's springs, where the session shows it: no cause, but a better model."""
+    """What completes the form of the model's springs: no cause, but a better model."""
     labels = " and ".join(find_effect(i).label for i in shown.form)
+    if not shown.form_matters:
+        has = shown.completed is not None or shown.without_form is not None
+        return [f"The model has the springs' {labels} as every robot has; this session says little of it."] if has else []
     if shown.without_form is not None:
         error = length(shown.without_form.held_out.rms_m)
         return [f"Beside that the springs' {labels} matters: without it that error would be {error}."]

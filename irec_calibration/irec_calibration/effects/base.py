@@ -46,6 +46,8 @@ class Parameter:
         first: where a session can't determine all parameters of the effect, those with `first` are chosen before the others.
         takes_from: compliance of an axis (`c_3`) that this parameter, 0 or less, takes away as the axis is loaded. The prior of
             that compliance is meant for a loaded axis; beside this parameter it is as much wider as this one may be large.
+        goes_with: compliance (`c_2a`) that this parameter is proportional to; `width` is for one as soft as its scale, and the
+            prior is as much wider or narrower as the session shows that compliance.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Parameter:
     axis: int | None = None
     first: bool = False
     takes_from: str = ""
+    goes_with: str = ""
 
     @property
     def prior_width(self) -> float:

@@ -26,7 +26,8 @@ class BendingPlace(Effect):
         "The springs of link_bending sit beside the URDF origins of the joints. About an axis a through a point d off the "
         "origin a force f turns the link by c (tau - f . (a x d)), and the TCP moves by that angle times (a x r - a x d): to "
         "first order in d two coupling terms, m (V_a (e . f) + e tau_a) for each of two directions e across a, m = -c (a x d) "
-        ". e. Every robot has it to some extent; missing, it leaves some ten micrometres that pass for tool_compliance."
+        ". e, the larger the softer the spring is. Every robot has it to some extent; missing, it leaves some ten micrometres "
+        "that pass for tool_compliance."
     )
     family = Family.SPRING
     elastic = True
@@ -66,6 +67,7 @@ def _of_robot(robot: Robot) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(
             f"m_{k + 1}{v}{e}", "m/(N m)", s, plausible=(-100.0 * s, 100.0 * s), group=f"axis {k + 1}", axis=k,
+            goes_with=f"c_{k + 1}{v}",
         )
         for k, s in enumerate(scale.tolist())
         for v, e in _pairs()
