@@ -18,6 +18,7 @@ from .explanation import Explanation, explain, reshaped_again
 from .family import Family, family_of
 from .forms import bends, forms_of
 from .naming import proven, pruned, refused
+from .readings import by_readings
 from .remainder import grow
 from .rivals import Check, rivals_of
 from .settings import SETTINGS, Settings
@@ -114,8 +115,12 @@ def _step(
         more = sorted((try_option(beside, o, scene) for o in open_), key=lambda t: -t.log_evidence)
         known = {t.effect.id for t in chosen}
         chosen += [t for t in more[: settings.refits] if t.log_evidence > 1.0 and t.effect.id not in known]
+    # what the readings at the references have is tried whatever differences say by themselves
+    shown = [o for o in open_ if by_readings(current.study, o.effect)[0] > settings.nats_to_name]
+    kept = _screened(current, chosen, family, settings)
+    names = {t.effect.id for t in kept}
     out = []
-    for trial in _screened(current, chosen, family, settings):
+    for trial in (*kept, *(t for t in trials if t.effect.id in {o.effect.id for o in shown} - names)):
         check()
         one = explain(start, current, trial, family)
         if one is not None:

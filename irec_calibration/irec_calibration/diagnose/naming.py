@@ -29,6 +29,7 @@ from .form_errors import evidence_beside
 from .forms import NO_FORMS, Forms, forms_of
 from .held_out import held_out, only_good_poses
 from .lasting import lasts
+from .readings import along_readings
 from .settings import Settings
 
 
@@ -74,10 +75,14 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
     A drift of another form, and a link that tilts instead of an axis that turns, is no rival unless it explains more than what is
     not told apart.
     A curve of few coefficients has a cause's form only nearly: a share of what the nonparametric structures explain counts for
-    them. Where the readings at the references have the effect, which no structure moves, none is its rival.
+    them. Where the readings at the references have the effect, which no structure moves, none is its rival; and where
+    differences bear out the value of the readings, both count.
     """
-    if shown_by_readings(one, effect_id):
-        return one.named - bare.named
+    shown = shown_by_readings(one, effect_id)
+    if shown:
+        along = along_readings(bare.study, one.term(effect_id).effect)
+        own = max(one.named - bare.named, along)
+        return own + shown if along > settings.nats_to_prefer else own
     forms = forms_of(one.term(effect_id), one.study.ready)
     forms = replace(forms, axes=forms.axes - bent_by_others(one, effect_id))
 
@@ -148,6 +153,8 @@ def proven(start: Explanation, one: Explanation, family: Family, settings: Setti
 
 def _beside_larger(one: Explanation, effect_id: str, share: dict[str, float], settings: Settings) -> float:
     """Evidence of an effect beside much larger ones whose form is known only roughly; inf where none is."""
+    if shown_by_readings(one, effect_id):  # no form of another effect moves readings
+        return np.inf
     larger = [i for i in one.ids if share[effect_id] < settings.share_to_name * share[i]]
     return evidence_beside(one, effect_id, larger, settings) if larger else np.inf
 

@@ -8,18 +8,62 @@ or so, and follows smoothly from the joint angles. So they tell such a cause fro
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
+from ..effects import Effect
 from ..identification.observe import beyond_controller
 from ..model import Term
 from ..model.model import displacement_of
 from ..typing import Array, IntArray
+from .evidence import Block
 from .lasting import fitted, usually_beyond
+from .priors import FACTORS
 from .settings import SETTINGS
 from .study import Study
 
 READINGS = SETTINGS.lasting
+WIDEST = float(FACTORS.max())  # of the prior of a value, in multiples of its width
 FARTHEST = 5.0  # standard errors between a value that readings show and the one of differences, which other causes bend
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What the readings at the references have beyond the controller's positions and beyond what else of the kind is in a model.
+
+    Attributes:
+        rows: of the session, one for each reference; values: (rows, 3), m.
+        ground: what robots and stations usually leave, columns in standard deviations, (rows, 3, p), m.
+    """
+
+    rows: IntArray
+    values: Array
+    ground: Array
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Without any further cause."""
+        return fitted(self.values, self.ground)[0]
+
+
+def readings_of(study: Study, effect: Effect) -> Readings | None:
+    """The readings that may carry an effect; None where it does not show in them by itself (`Effect.in_readings`), or where
+    too few poses were measured."""
+    if not effect.in_readings or study.ready.kind != "loaded":
+        return None
+    scene, session = study.ready, study.session
+    rows = np.unique(scene.reference[study.observation.rows])
+    seen = beyond_controller(session, scene)
+    rows = rows[np.isfinite(seen[rows]).all(axis=1)]
+    if len(np.unique(session.pose[rows])) < 2 * READINGS.fewest:
+        return None
+    values = seen[rows]
+    for other in study.terms:
+        if other.effect.in_readings and other.effect.id != effect.id:
+            values = values - displacement_of(other, scene)[rows]
+    return Readings(rows, values, np.concatenate([_placed(scene.station[rows]), usually_beyond(study, rows)], axis=2))
 
 
 def carried(study: Study, term: Term) -> float:
@@ -30,20 +74,12 @@ def carried(study: Study, term: Term) -> float:
         term: that effect, with its values.
 
     Returns:
-        natural log; 0 where it does not show in readings by itself (`Effect.in_readings`), or where too few poses were measured.
+        natural log; 0 where readings don't tell (`readings_of`).
     """
-    if not term.effect.in_readings or study.ready.kind != "loaded":
+    known = readings_of(study, term.effect)
+    if known is None:
         return 0.0
-    scene, session = study.ready, study.session
-    rows = np.unique(scene.reference[study.observation.rows])
-    seen = beyond_controller(session, scene)
-    rows = rows[np.isfinite(seen[rows]).all(axis=1)]
-    if len(np.unique(session.pose[rows])) < 2 * READINGS.fewest:
-        return 0.0
-    values = seen[rows]
-    for other in study.terms:
-        if other.effect.in_readings and other.effect.id != term.effect.id:
-            values = values - displacement_of(other, scene)[rows]
+    scene, rows = study.ready, known.rows
     parameters = term.effect.parameters(scene)
     theta = term.theta(parameters)
     errors = np.array([term.estimates[p.name].se if p.name in term.estimates else 0.0 for p in parameters])
@@ -51,12 +87,38 @@ def carried(study: Study, term: Term) -> float:
     errors = np.where(np.isfinite(errors), errors, np.abs(theta))
     moved = displacement_of(term, scene)[rows]
     within = (term.effect.regressor(scene, theta)[rows] * errors)[:, :, errors > 0.0]
-    ground = np.concatenate([_placed(scene.station[rows]), usually_beyond(study, rows)], axis=2)
-    with_it, x = fitted(values - moved, np.concatenate([ground, within], axis=2))
-    odds = with_it - fitted(values, ground)[0]
+    with_it, x = fitted(known.values - moved, np.concatenate([known.ground, within], axis=2))
+    odds = with_it - known.log_evidence
     # something else moves the readings, where that would be far from the value that differences show
-    elsewhere = np.abs(x[ground.shape[2] :]).max(initial=0.0) > FARTHEST
+    elsewhere = np.abs(x[known.ground.shape[2] :]).max(initial=0.0) > FARTHEST
     return min(odds, 0.0) if elsewhere else odds
+
+
+def by_readings(study: Study, effect: Effect) -> tuple[float, Array]:
+    """Log odds for an effect by the readings alone, beside a model without it, and its values there, (p,); 0 and none where
+    readings don't tell, or tell of its parameters only together (`Effect.chosen_by_poses`)."""
+    known = None if effect.chosen_by_poses else readings_of(study, effect)
+    if known is None:
+        return 0.0, np.zeros(0)
+    parameters = effect.parameters(study.ready)
+    scale = WIDEST * np.array([p.scale * p.prior_width for p in parameters])
+    own = effect.regressor(study.ready, np.zeros(len(parameters)))[known.rows] * scale
+    with_it, x = fitted(known.values, np.concatenate([known.ground, own], axis=2))
+    return with_it - known.log_evidence, x[known.ground.shape[2] :] * scale
+
+
+def along_readings(study: Study, effect: Effect) -> float:
+    """Log evidence of the differences for an effect as the readings show it, beside a model without it: one size is left open.
+
+    It is more than that of an effect all of whose values differences have to find.
+    """
+    theta = by_readings(study, effect)[1]
+    if not theta.any():
+        return 0.0
+    moved = study.columns((effect.regressor(study.ready, theta) @ theta)[:, :, None])
+    free = np.full(1, np.inf)
+    with_it = study.bench.posterior(study.base + Block(moved, -free, free, np.ones(1)))
+    return with_it.log_evidence - study.bench.posterior(study.base).log_evidence
 
 
 def _placed(station: IntArray) -> Array:

@@ -14,7 +14,7 @@ from irec_calibration.diagnose.candidates import try_effect
 from irec_calibration.diagnose.explanation import Explanation, implausible, shown_by_readings
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.naming import odds_of
-from irec_calibration.diagnose.readings import carried
+from irec_calibration.diagnose.readings import along_readings, by_readings, carried
 from irec_calibration.diagnose.remainder import grow
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.shape import refit
@@ -93,10 +93,34 @@ def test_readings_say_nothing_about_springs_and_about_what_is_small() -> None:
     assert abs(carried(study, small)) < SETTINGS.nats_to_prefer
 
 
+def slightly_turned_station(scene: Scene) -> Array:
+    return np.cross([0.004, 0.0, 0.006], scene.p_observed - STATION)
+
+
+def test_readings_alone_give_the_values_and_differences_bear_them_out_along_these() -> None:
+    measured = synthetic.session(poses=20, seed=5, extra=slightly_turned_station)
+    study, effect = prepare(measured, start_terms(measured)).to_weigh, find_effect("station_registration")
+    odds, values = by_readings(study, effect)
+    assert odds > SETTINGS.nats_to_name
+    np.testing.assert_allclose(values, [-0.004, 0.0, -0.006], atol=4e-4)
+    trial = try_effect(study, effect)
+    assert trial is not None
+    assert along_readings(study, effect) > max(trial.log_evidence, SETTINGS.nats_to_prefer) + 1.0
+    assert by_readings(study, find_effect("geometry_error"))[0] == 0.0  # of its values readings tell together only
+
+
+@pytest.mark.parametrize("effect", CAUSES)
+def test_readings_without_an_error_of_an_instrument_give_it_no_odds(effect: str) -> None:
+    measured = synthetic.session(poses=20, seed=5, extra=soft_tool)
+    assert by_readings(prepare(measured, start_terms(measured)).to_weigh, find_effect(effect))[0] < 0.0
+
+
 def test_no_structure_is_a_rival_of_what_readings_carry() -> None:
     study, fitted = found(long_lengths, "tracker_scale")
     one = explanation(study, fitted)
-    assert shown_by_readings(one, "tracker_scale") > SETTINGS.nats_to_name
+    shown = shown_by_readings(one, "tracker_scale")
+    assert shown > SETTINGS.nats_to_name
     family = family_of(study)
     bare = Explanation((), prepare(study.session, start_terms(study.session)).to_weigh, 3.0, one.remainder)
-    assert odds_of(one, bare, "tracker_scale", family, SETTINGS) == pytest.approx(17.0)
+    along = along_readings(bare.study, fitted.effect)
+    assert odds_of(one, bare, "tracker_scale", family, SETTINGS) == pytest.approx(max(17.0, along) + shown)
