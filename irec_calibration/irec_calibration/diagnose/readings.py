@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..effects import Effect
+from ..effects import Effect, known_effects
 from ..identification.observe import beyond_controller
 from ..model import Term
 from ..model.model import displacement_of
@@ -74,7 +74,8 @@ def carried(study: Study, term: Term) -> float:
         term: that effect, with its values.
 
     Returns:
-        natural log; 0 where readings don't tell (`readings_of`).
+        natural log; 0 where readings don't tell (`readings_of`). Of an effect of whose values readings tell only together
+        (`Effect.chosen_by_poses`) never above 0.
     """
     known = readings_of(study, term.effect)
     if known is None:
@@ -82,6 +83,8 @@ def carried(study: Study, term: Term) -> float:
     scene, rows = study.ready, known.rows
     parameters = term.effect.parameters(scene)
     theta = term.theta(parameters)
+    if term.effect.chosen_by_poses:
+        return min(_of_this_order(study, term.effect, known, theta), 0.0)
     errors = np.array([term.estimates[p.name].se if p.name in term.estimates else 0.0 for p in parameters])
     # what differences know of a value only together with others, they know by its order of magnitude
     errors = np.where(np.isfinite(errors), errors, np.abs(theta))
@@ -92,6 +95,20 @@ def carried(study: Study, term: Term) -> float:
     # something else moves the readings, where that would be far from the value that differences show
     elsewhere = np.abs(x[known.ground.shape[2] :]).max(initial=0.0) > FARTHEST
     return min(odds, 0.0) if elsewhere else odds
+
+
+def _of_this_order(study: Study, effect: Effect, known: Readings, theta: Array) -> float:
+    """Log odds that the readings have an effect with values of the order of theta, (p,), over what else they may have.
+
+    For an effect of whose many values differences and readings each know some combinations only.
+    """
+    scale = np.array([p.scale for p in effect.parameters(study.ready)])
+    size = np.sqrt(np.mean((theta / scale)[theta != 0.0] ** 2)) if theta.any() else 1.0
+    own = effect.regressor(study.ready, np.zeros(len(theta)))[known.rows] * (scale * size)
+    present = {t.effect.id for t in study.terms}
+    others = [e for e in known_effects().values() if e.in_readings and e.id not in present and not study.why_not(e)]
+    best = max([by_readings(study, e)[0] for e in others], default=0.0)
+    return fitted(known.values, np.concatenate([known.ground, own], axis=2))[0] - known.log_evidence - max(best, 0.0)
 
 
 def by_readings(study: Study, effect: Effect) -> tuple[float, Array]:

@@ -109,6 +109,20 @@ def test_readings_alone_give_the_values_and_differences_bear_them_out_along_thes
     assert by_readings(study, find_effect("geometry_error"))[0] == 0.0  # of its values readings tell together only
 
 
+def wrong_links(scene: Scene) -> Array:
+    """Zeros of two axes off by 10 and 5 mrad and a link 8 mm too long, to first order."""
+    J = scene.kin.jacobian(scene.p_observed)
+    return J[:, :, 1] * 0.01 + J[:, :, 3] * 0.005 + 0.008 * np.swapaxes(scene.kin.R_joint[:, 2], 1, 2)[:, 2]
+
+
+def test_of_wrong_links_readings_tell_the_order_only_and_never_speak_for_them() -> None:
+    study, term = found(wrong_links, "geometry_error")
+    assert carried(study, term) == 0.0  # differences give other values: readings have some of that order all the same
+    elsewhere, large = found(soft_tool, "geometry_error")
+    large = Term(large.effect, {n: Estimate(0.05) for n in large.estimates})
+    assert carried(elsewhere, large) < -SETTINGS.nats_to_name
+
+
 @pytest.mark.parametrize("effect", CAUSES)
 def test_readings_without_an_error_of_an_instrument_give_it_no_odds(effect: str) -> None:
     measured = synthetic.session(poses=20, seed=5, extra=soft_tool)
