@@ -25,6 +25,7 @@ HEAD, TAIL = 2.0, 1.2  # s
 _FINE, _PLACES = 0.012, 121  # s between knots by time; knots by place
 _SMOOTH = 20.0  # weight of the second difference between knots by place, as a share of the samples on a knot
 _ROUNDS = 2  # of alignment
+_FADED = 0.3  # share of the knots by time over which what comes by time goes over to nothing
 
 
 @dataclass(frozen=True)
@@ -110,11 +111,13 @@ def _hats(x: Array, n: int, ends: bool) -> sparse.csr_matrix:
 
 
 def _solved(courses: Sequence[ForcedCourse], period: float, late: Array, sizes: tuple[int, int, int]) -> Array:
-    """Values at all knots, (h + m + e, 3)."""
+    """Values at all knots, (h + m + e, 3). Those of head and tail fade out: where they ended with a step, the correction would
+    follow that as if it were a force."""
     n = sum(sizes)
+    fade = np.concatenate([_fade(sizes[0]), np.ones(sizes[1]), _fade(sizes[2])])
     G, b, count = sparse.csr_matrix((n, n)), np.zeros((n, 3)), 0
     for course, d in zip(courses, late, strict=True):
-        A = _design(course.share, period, float(d), *sizes, _FINE)
+        A = _design(course.share, period, float(d), *sizes, _FINE) @ sparse.diags(fade)
         G, b, count = G + A.T @ A, b + A.T @ course.force, count + len(course.share)
     h, m, e = sizes
     by_time = len(courses) * _FINE / period  # samples on a knot
@@ -123,7 +126,13 @@ def _solved(courses: Sequence[ForcedCourse], period: float, late: Array, sizes: 
     # (a constant) goes to the place
     ends = [by_time * (1e-3 * sparse.identity(n) + 0.3 * _bend(n)) for n in (h, e)]
     R = sparse.block_diag([ends[0], _SMOOTH * by_place * _bend(m) + 1e-6 * sparse.identity(m), ends[1]])
-    return np.asarray(linalg.splu((G + R).tocsc()).solve(b))
+    return fade[:, None] * np.asarray(linalg.splu((G + R).tocsc()).solve(b))
+
+
+def _fade(n: int) -> Array:
+    """One, and towards the last of n knots nothing, (n,)."""
+    left = np.clip((n - 1 - np.arange(n)) / (_FADED * (n - 1)), 0.0, 1.0)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * left))
 
 
 def _bend(n: int) -> sparse.csr_matrix:

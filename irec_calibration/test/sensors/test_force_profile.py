@@ -48,6 +48,18 @@ def test_a_touch_down_that_comes_sooner_or_later_is_not_blurred() -> None:
     assert float(np.abs(found.along(share, PERIOD) - force)[head].max()) < 60.0
 
 
+def test_what_comes_by_time_ends_without_a_step() -> None:
+    """A cut at the same place of courses of one length may be told by time: where the time ends it goes over to the place."""
+    courses = []
+    for i in range(6):
+        share, force = made(8.0, seed=i)
+        force[:, 1] += 300.0 * np.exp(-0.5 * ((share - 0.25) / 0.03) ** 2)  # at its highest where the head ends, after 2 s
+        courses.append(ForcedCourse(share, force))
+    found = common_force(courses, PERIOD)
+    steps = np.abs(np.diff(found.along(courses[0].share, PERIOD)[:, 1]))
+    assert float(steps[round(1.9 / PERIOD) : round(2.1 / PERIOD)].max()) < 6.0  # N in 4 ms; the cut itself rises by 3
+
+
 @settings(max_examples=10, deadline=None)
 @given(level=st.lists(st.floats(-500.0, 500.0), min_size=3, max_size=3), seconds=st.floats(5.0, 12.0))
 def test_a_constant_force_is_foretold_as_it_is(level: list[float], seconds: float) -> None:
