@@ -88,7 +88,8 @@ def test_the_table_of_a_dry_course_holds_the_force_that_the_others_had(
     courses: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     dry, table = write_course(tmp_path / "dry.mcap", 6.5, 9, wrench=False), tmp_path / "profile.csv"
-    assert main(["profile", *map(str, courses), "--course", str(dry), "-o", str(table), "--json"]) == 0
+    given = ["profile", *map(str, courses), "--course", str(dry), "-o", str(table)]
+    assert main([*given, "--smooth", "0", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["courses"] == 3 and told["slack_s"] < 0.02 and told["left_n"] == pytest.approx(3.0, abs=3.0)
     profile = read_profile(table, ["joint_1", "joint_2"])  # as the correction reads it
@@ -96,6 +97,11 @@ def test_the_table_of_a_dry_course_holds_the_force_that_the_others_had(
     middle = slice(round(1.2 / 0.004), round(5.5 / 0.004))
     np.testing.assert_allclose(profile.wrench[middle, :3], wanted[middle], atol=12.0)
     assert float(np.abs(profile.wrench[:, :3] - wanted).max()) < 90.0  # within 10 ms of the touch-down
+    steepest = [float(np.abs(np.diff(profile.wrench[:, :3], axis=0)).max())]
+    for smooth in ([], ["--smooth", "0.2"]):
+        assert main([*given, *smooth]) == 0
+        steepest.append(float(np.abs(np.diff(read_profile(table, ["joint_1", "joint_2"]).wrench[:, :3], axis=0)).max()))
+    assert steepest[1] < 0.9 * steepest[0] and steepest[2] < 0.4 * steepest[0]  # the touch-down takes 0.1 s
 
 
 def test_the_text_says_what_to_set(courses: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -115,6 +121,7 @@ def test_recordings_that_tell_no_profile_are_refused(
         ([courses[0], standing], "the TCP moves for 0.0 s"),
         ([*courses, "--head", "9"], "samples; "),
         ([*courses, "--tail", "-1"], "--tail is -1 s"),
+        ([*courses, "--smooth", "2"], "--smooth is 2 s"),
         ([*courses, "--joints", "axes"], "0 messages on 'axes'"),
     ):
         assert main(["profile", *map(str, given), "-o", str(tmp_path / "p.csv")]) == 2

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import RecordingError
 from ..sensors.course_recording import RecordedCourse, read_course
-from ..sensors.force_profile import HEAD, TAIL, CommonForce, ForcedCourse, common_force
+from ..sensors.force_profile import HEAD, SMOOTH, TAIL, CommonForce, ForcedCourse, common_force, smoothed
 from ..typing import Array
 
 
@@ -22,6 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("profile.csv"), help="table (default: profile.csv)")
     parser.add_argument("--head", type=float, default=HEAD, help=f"s at the begin that go by time (default: {HEAD:g})")
     parser.add_argument("--tail", type=float, default=TAIL, help=f"s at the end that go by time (default: {TAIL:g})")
+    parser.add_argument("--smooth", type=float, default=SMOOTH, help=f"s over which it is smoothed (default: {SMOOTH:g})")
     parser.add_argument("--wrench", default="wrench", metavar="TOPIC", help="wrench at the TCP in tool0 (default: wrench)")
     parser.add_argument("--pose", default="tcp_pose", metavar="TOPIC", help="TCP by the controller (default: tcp_pose)")
     parser.add_argument("--joints", default="joint_states", metavar="TOPIC", help="joint states (default: joint_states)")
@@ -35,11 +36,13 @@ def run(args: argparse.Namespace) -> int:
     for name, value in (("--head", args.head), ("--tail", args.tail)):
         if not 0.1 <= value <= 60.0:
             raise RecordingError(f"{name} is {value:g} s; 0.1 .. 60 s is possible")
+    if not 0.0 <= args.smooth <= 1.0:
+        raise RecordingError(f"--smooth is {args.smooth:g} s; 0 .. 1 s is possible")
     topics = args.wrench, args.pose, args.joints
     courses = [read_course(bag, *topics) for bag in args.bag]
     wanted = read_course(args.course, *topics, need_force=False) if args.course else courses[0]
     found = common_force([ForcedCourse(c.share, c.along_path()) for c in courses], wanted.period, args.head, args.tail)
-    force = wanted.in_tool(found.along(wanted.share, wanted.period))
+    force = wanted.in_tool(smoothed(found.along(wanted.share, wanted.period), wanted.period, args.smooth))
     write_table(args.output, wanted, force)
     _tell(args, found, len(courses), float(np.linalg.norm(force, axis=1).max()))
     return 0

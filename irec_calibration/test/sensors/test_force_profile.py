@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_calibration.errors import RecordingError
-from irec_calibration.sensors.force_profile import ForcedCourse, common_force
+from irec_calibration.sensors.force_profile import ForcedCourse, common_force, smoothed
 
 PERIOD = 0.004
 
@@ -58,6 +58,17 @@ def test_what_comes_by_time_ends_without_a_step() -> None:
     found = common_force(courses, PERIOD)
     steps = np.abs(np.diff(found.along(courses[0].share, PERIOD)[:, 1]))
     assert float(steps[round(1.9 / PERIOD) : round(2.1 / PERIOD)].max()) < 6.0  # N in 4 ms; the cut itself rises by 3
+
+
+def test_what_is_as_quick_as_the_arm_is_left_to_the_readings() -> None:
+    t = np.arange(2500) * PERIOD
+    middle = slice(500, 2000)
+    for hertz, low, high in ((0.5, 0.98, 1.0), (4.0, 0.55, 0.65), (10.0, 0.0, 0.05)):
+        wave = np.sin(2.0 * np.pi * hertz * t)[:, None]
+        left = smoothed(wave, PERIOD)[middle]
+        assert low <= float(left.std() / wave[middle].std()) <= high
+        assert float((left * wave[middle]).sum()) > -1e-6  # not moved in time
+    np.testing.assert_array_equal(smoothed(wave, PERIOD, 0.0), wave)
 
 
 @settings(max_examples=10, deadline=None)
