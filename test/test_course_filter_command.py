@@ -96,8 +96,11 @@ def model(cell: Cell) -> Model:
     return Model((scaled,), serial=cell.serial, urdf_sha256=cell.robot.sha256)
 
 
-def course(cell: Cell, model: Model, path: Path, seed: int, process: bool = True) -> Path:
-    """16 s; contact from 1 s to 15 s; the robot misses its path by a wave that has nothing to do with the force."""
+def course(cell: Cell, model: Model, path: Path, seed: int, process: bool = True, told: float | None = None) -> Path:
+    """16 s; contact from 1 s to 15 s; the robot misses its path by a wave that has nothing to do with the force.
+
+    told: share of an offset that is sent meanwhile, by which the controller says that the TCP moves; None: no offset is sent.
+    """
     n = round(16.0 * RATE)
     t = np.arange(n) / RATE
     q = BEGIN + t[:, None] * TURN
@@ -108,20 +111,24 @@ def course(cell: Cell, model: Model, path: Path, seed: int, process: bool = True
     static = np.array([deflection(a, f, np.zeros(3), 0.004, RAIL)[0].copy() for a, f in zip(q, force, strict=True)])
     missed = 4e-5 * np.sin(2.0 * np.pi * 2.0 * t)[:, None] * np.ones(3)
     rng = np.random.default_rng(seed + 100)
-    marker = kin.p_tcp + kin.R_tool @ cell.marker_in_tool + swings(static) + missed + rng.normal(0.0, 1e-5, (n, 3))
+    sent = np.zeros((n, 3)) if told is None else 2e-6 * unsteady(seed + 50, n) - 1e-6 * force
+    marker = kin.p_tcp + kin.R_tool @ cell.marker_in_tool + swings(static) + late(sent) + missed + rng.normal(0.0, 1e-5, (n, 3))
     station = cell.stations[0]
     seen = (marker + cell.base_in_cell(np.array([RAIL])) - station.p_in_cell) @ station.R_in_cell
     turn = Rotation.from_matrix(kin.R_tool).as_quat()
     read = force + rng.normal(0.0, 1.5, force.shape)
     names = [*cell.robot.joint_names, "ext_rail"]
     rest = {"velocity": [], "effort": []}
+    turned = {"rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    offset = {"irec/offset": [{"child_frame_id": "tool0", "transform": {"translation": xyz(o), **turned}} for o in sent]}
     return write(path, {
+        **({} if told is None else offset),
         "joint_states": [{"name": names, "position": [*map(float, a), RAIL], **rest} for a in q],
         "tcp_pose": [{"pose": {"position": xyz(p), "orientation": {**xyz(o[:3]), "w": float(o[3])}}}
-                     for p, o in zip(kin.p_tcp, turn, strict=True)],
+                     for p, o in zip(kin.p_tcp + (told or 0.0) * sent, turn, strict=True)],
         "wrench": [{"wrench": {"force": xyz(f), "torque": xyz(np.zeros(3))}} for f in read],
         "tracker/point": [{"point": xyz(p)} for p in seen],
-    }, {"tracker/point": station.name, "wrench": "tool0", "tcp_pose": "base_link"})  # fmt: skip
+    }, {"tracker/point": station.name, "wrench": "tool0", "tcp_pose": "base_link", "irec/offset": "base_link"})  # fmt: skip
 
 
 def sweep(cell: Cell, path: Path, axes: int = 3, turned: float = 0.0) -> Path:
@@ -151,6 +158,9 @@ def bags(cell: Cell, model: Model, tmp_path_factory: pytest.TempPathFactory) -> 
         "model": [str(place / "model.yaml"), str(CELL)],
         "courses": [str(course(cell, model, place / f"course_{i}.mcap", i)) for i in (1, 2, 3)],
         "dry": [str(course(cell, model, place / f"dry_{i}.mcap", i, process=False)) for i in (1, 2, 3)],
+        "corrected": [
+            str(course(cell, model, place / f"corrected_{i}.mcap", i, told=told)) for i, told in ((1, 0.0), (2, 1.0), (3, 0.0))
+        ],
         "swept": [str(sweep(cell, place / "swept.mcap"))],
     }
 
@@ -203,6 +213,20 @@ def test_dry_courses_take_off_what_the_robot_misses_its_path_by(
     assert left[1] < 0.8 * left[0]
 
 
+def test_courses_that_were_corrected_tell_the_same_where_their_offset_is_recorded(
+    bags: dict[str, list[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whether the controller counts the offset in or not."""
+    left = []
+    for name in ("courses", "corrected"):
+        given = [*bags["model"], *bags[name], "--dry", *bags["dry"], "--swept", *bags["swept"], "--acceleration", "6"]
+        assert main(["course-filter", *given, "--postures", "1", "-o", str(tmp_path / f"{name}.csv"), "--json"]) == 0
+        left.append(json.loads(capsys.readouterr().out)["left_m"])
+    assert left[1] < 1.3 * left[0]  # 10 um; the offset alone moves the TCP by 80 um RMS
+    taps = [read_taps(tmp_path / f"{name}.csv").taps for name in ("courses", "corrected")]
+    assert float(np.abs(taps[1] - taps[0]).sum(axis=1).max()) < 0.35 * float(np.abs(taps[0]).sum(axis=1).max())
+
+
 def test_recordings_and_options_that_tell_no_filter_are_refused(
     cell: Cell, bags: dict[str, list[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -219,6 +243,7 @@ def test_recordings_and_options_that_tell_no_filter_are_refused(
         ([one, "--swept", str(sweep(cell, tmp_path / "two.mcap", axes=2))], "sweep all three"),
         ([one, "--swept", str(sweep(cell, tmp_path / "moves.mcap", turned=0.3))], "the arm has to stand"),
         ([one, "--swept", one], "0 messages on 'irec/offset'"),
+        ([bags["corrected"][0], *delay, "--postures", "1"], "was driven with correction"),
     ):
         assert main(["course-filter", *bags["model"], *given, "-o", str(table)]) == 2, given
         assert word in capsys.readouterr().err

@@ -25,7 +25,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the subcommand."""
     parser.add_argument("model", help="model.yaml that will be in force")
     parser.add_argument("cell", help="cell file")
-    parser.add_argument("bag", type=Path, nargs="+", help="recordings of courses under the process, without correction")
+    parser.add_argument(
+        "bag", type=Path, nargs="+", help="recordings of courses under the process, without correction or with their offset"
+    )
     parser.add_argument("--dry", type=Path, nargs="+", default=[], metavar="BAG", help="the same courses without process")
     parser.add_argument("--swept", type=Path, nargs="+", default=[], metavar="BAG", help="offsets swept on the standing arm")
     parser.add_argument("--delay", type=float, help="s from an offset to its motion, where no offset was swept")

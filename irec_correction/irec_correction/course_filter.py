@@ -25,7 +25,9 @@ from scipy import linalg, signal
 from .errors import SettingsError
 from .fir import LONGEST, LOUDEST, MOST
 
-_FEWER = 4  # samples of which one is enough to tell the offset's acceleration
+_FEWER = 5  # samples of which one is enough to tell the offset's acceleration; teeth that fold to 50 Hz are met at all phases
+_WINDOW, _ROUGHEST = 250, 0.9  # samples of a window; share of the windows that are less rough than the rest
+_DENSE, _APART = 12, 2  # taps that are free one by one, samples between those that are free beyond: linear in between
 _LOW, _TRUSTED = 4.0, 6.5  # Hz: below, the answer to an offset goes over to what the lowest trusted band says
 _HIGH, _GONE = 28.0, 43.0  # Hz: above, the measured answer fades out
 
@@ -51,7 +53,7 @@ class DrivenCourse:
 @dataclass(frozen=True)
 class CourseFilter:
     """Taps (m, n, 3) for m postures, newest sample first; left, before: RMS of the deviation with these taps and unfiltered,
-    m; acceleration: RMS of the offset's, m/s^2."""
+    m; acceleration: RMS of the offset's where it is largest, in a tenth of the time, m/s^2."""
 
     taps: Array
     left: float
@@ -122,7 +124,9 @@ def learn(courses: Sequence[DrivenCourse], rate: float, acceleration: float, tap
     """Taps with the least mean square of what is left on these courses.
 
     Args:
-        acceleration: m/s^2, largest RMS that the offset's acceleration may have; taps: how many samples back the filter looks.
+        acceleration: m/s^2, largest RMS that the offset's acceleration may have in the roughest tenth of the time, by windows of
+            250 samples: a limit that acts in a few cuts makes the largest deviation.
+        taps: how many samples back the filter looks.
 
     Raises:
         SettingsError: a value out of range, too few samples, or no filter stays below the acceleration.
@@ -132,47 +136,77 @@ def learn(courses: Sequence[DrivenCourse], rate: float, acceleration: float, tap
     postures = courses[0].near.shape[1] if courses else 1
     if not 1 <= postures <= MOST:
         raise SettingsError(f"a filter for {postures} postures; 1 to {MOST} are possible")
-    samples, unknowns = int(sum(c.used.sum() for c in courses)), 3 * taps * postures
+    basis = _basis(taps)
+    samples, unknowns = int(sum(c.used.sum() for c in courses)), 3 * basis.shape[1] * postures
     if samples < 10 * unknowns:
         raise SettingsError(
             f"{samples} samples are too few to learn {taps} taps for each axis at {postures} postures; {10 * unknowns} are needed"
         )
-    G, S, b, power = np.zeros((unknowns, unknowns)), np.zeros((unknowns, unknowns)), np.zeros(unknowns), 0.0
-    for c in courses:
+    G, S, worst = (np.zeros((unknowns, unknowns)) for _ in range(3))
+    b, power, rough, most = np.zeros(unknowns), 0.0, _rough(courses), 0
+    for c, at_worst in zip(courses, rough, strict=True):
         at = np.flatnonzero(c.used)
         free = np.linalg.qr(np.stack([np.ones(len(at)), np.linspace(-1.0, 1.0, len(at))], axis=1))[0]
-        A = _features(c.moved, c.near, at, taps)
+        A = _features(c.moved, c.near, at, basis)
         A -= free @ (free.T @ A)
         d = c.deviation[at] - free @ (free.T @ c.deviation[at])
         G, b, power = G + A.T @ A, b + A.T @ d, power + float(d @ d)
         for k in range(3):
-            quick = np.zeros_like(c.sent[:, :, k])
-            quick[2:] = np.diff(c.sent[:, :, k], 2, axis=0) * rate**2
-            B = _features(quick, c.near, at[::_FEWER], taps)  # an RMS of fewer samples is the same
+            quick = _quick(c.sent[:, :, k]) * rate**2
+            few = at[k::_FEWER]  # an RMS of fewer samples is the same
+            B = _features(quick, c.near, few, basis)
             S += _FEWER * (B.T @ B)
-    one = np.kron(np.eye(3 * postures), np.ones(taps))
+            B = B[at_worst[few]]
+            worst, most = worst + B.T @ B, most + len(B)
+    one = np.kron(np.eye(3 * postures), basis.sum(axis=0))
     G += 1e-9 * np.trace(G) / len(G) * np.eye(len(G))
 
     def left(h: Array) -> float:
         return math.sqrt(max(float(power - 2.0 * b @ h + h @ G @ h), 0.0) / samples)
 
     plain = np.zeros(unknowns)
-    plain[::taps] = 1.0
-    for gentle in np.logspace(-12.0, -4.0, 49):
+    plain[:: basis.shape[1]] = 1.0
+    for gentle in np.logspace(-12.0, -4.0, 97):
         R = G + gentle * S
         both = linalg.solve(R, np.column_stack([b, one.T]), assume_a="pos")
         x, y = both[:, 0], both[:, 1:]
         h = x + y @ np.linalg.solve(one @ y, 1.0 - one @ x)
-        shaken = math.sqrt(float(h @ S @ h) / samples)
-        if shaken <= acceleration and np.abs(h).reshape(-1, taps).sum(axis=1).max() <= LOUDEST:
-            found = h.reshape(postures, 3, taps).swapaxes(1, 2)
+        shaken = math.sqrt(3.0 * float(h @ worst @ h) / most)
+        found = (h.reshape(postures, 3, -1) @ basis.T).swapaxes(1, 2)
+        if shaken <= acceleration and np.abs(found).sum(axis=1).max() <= LOUDEST:
             return CourseFilter(found / found.sum(axis=1, keepdims=True), left(h), left(plain), shaken)
     raise SettingsError(f"no filter keeps the offset's acceleration below {acceleration:.3g} m/s^2 RMS; allow more")
 
 
-def _features(x: Array, near: Array, at: Array, taps: int) -> Array:
-    """x (k, 3) at samples `at` and at the `taps` - 1 before each, newest first, weighted for each posture (k, m) by how near the
-    robot is now; before the begin the first value, (len(at), m 3 taps)."""
+def _quick(x: Array) -> Array:
+    """Second differences of x (k, n), 0 at the begin."""
+    out = np.zeros_like(x)
+    out[2:] = np.diff(x, 2, axis=0)
+    return out
+
+
+def _rough(courses: Sequence[DrivenCourse]) -> list[Array]:
+    """Samples of each course that lie in the roughest tenth of the windows, by what would be sent unfiltered, each (k,)."""
+    levels = []
+    for c in courses:
+        size = (_quick(c.sent.sum(axis=1)) ** 2).sum(axis=1) * c.used
+        window = np.arange(len(size)) // _WINDOW
+        levels.append((np.bincount(window, size) / np.maximum(np.bincount(window, c.used), 1))[window])
+    least = np.quantile(np.concatenate([x[c.used] for x, c in zip(levels, courses, strict=True)]), _ROUGHEST)
+    return [np.asarray((x >= least) & c.used) for x, c in zip(levels, courses, strict=True)]
+
+
+def _basis(taps: int) -> Array:
+    """Taps as sums of few numbers, (taps, numbers): each of the newest is free, the older ones are linear between knots. Old taps
+    that differ from one to the next serve nothing but noise: a drive follows no offset that changes so quickly."""
+    knots = np.unique(np.r_[np.arange(min(_DENSE, taps)), np.arange(_DENSE - 1, taps, _APART), taps - 1])
+    return np.stack([np.interp(np.arange(taps), knots, one) for one in np.eye(len(knots))], axis=1)
+
+
+def _features(x: Array, near: Array, at: Array, basis: Array) -> Array:
+    """x (k, 3) at samples `at` and before each, newest first, summed by the columns of `basis` (taps, numbers), weighted for each
+    posture (k, m) by how near the robot is now; before the begin the first value, (len(at), m 3 numbers)."""
+    taps = len(basis)
     back = at[:, None] + taps - 1 - np.arange(taps)
-    past = np.concatenate([np.concatenate([np.repeat(x[:1, a], taps - 1), x[:, a]])[back] for a in range(3)], axis=1)
+    past = np.concatenate([np.concatenate([np.repeat(x[:1, a], taps - 1), x[:, a]])[back] @ basis for a in range(3)], axis=1)
     return np.asarray((near[at][:, :, None] * past[:, None, :]).reshape(len(at), -1))

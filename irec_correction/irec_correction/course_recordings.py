@@ -45,19 +45,28 @@ def read_part(
 ) -> DrivenPart:
     """A course under the process; its deviation is the marker's from where the controller has it, less that of the dry course.
 
+    Where an offset was sent (recorded on the topic of the offset), the deviation is the marker's from where the dry course had
+    it: the controller may count the offset in, or not.
+
     Args:
         direction: that counts: along the path, across it, or normal to it (tool z). stages: of the wrench before the filter.
         dry: the same course without process; None: what the robot misses its path by is left to a constant and a slope.
 
     Raises:
-        RecordingError: a topic or a joint is missing, or the tool is not in contact for long enough.
+        RecordingError: a topic or a joint is missing, the tool is not in contact for long enough, or an offset was sent and no
+            dry course is there.
     """
     course = read_course(file, topics.wrench, topics.pose, topics.joints, RATE)
+    offset = _offset(file, topics, course.stamp)
     moved = _missed(file, course, cell, topics)
     if dry is not None:
         other = read_course(dry, topics.wrench, topics.pose, topics.joints, RATE, need_force=False)
         missed = _missed(dry, other, cell, topics)
-        moved = moved - np.stack([np.interp(course.share, other.share, x) for x in missed.T], axis=1)
+        moved = moved - _at(course.share, other.share, missed)
+        if offset is not None:
+            moved = moved + course.p - _at(course.share, other.share, other.p)
+    elif offset is not None:
+        raise RecordingError(f"{file} was driven with correction; record the same course without process and name it with --dry")
     for stage in stages:
         stage.reset()
     axis = course.path[:, :, DIRECTIONS.index(direction)]
@@ -68,7 +77,35 @@ def read_part(
         axis,
         _in_contact(file, course.force),
         _rail(course, cell),
+        offset,
     )
+
+
+def _at(share: Array, other: Array, values: Array) -> Array:
+    """values (m, 3) along another course at these shares of the way, (k, 3)."""
+    return np.stack([np.interp(share, other, x) for x in values.T], axis=1)
+
+
+def _offset(file: Path, topics: Topics, stamp: Array) -> Array | None:
+    """Offset as it was sent at these stamps, (k, 3), m, in base_link; None where none was recorded, or nothing but zeros."""
+    rows, frames = [], set()
+    bag = BagReader(file)
+    for raw in bag.messages({topics.offset: "", f"/{topics.offset}": ""}):
+        m = bag.decode(raw)
+        frames.add(m.header.frame_id)
+        t = m.transform.translation
+        rows.append((m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec, t.x, t.y, t.z))
+    if not rows or not np.any(np.array(rows)[:, 1:]):
+        return None
+    sent_at, sent = _sorted(file, topics.offset, rows)
+    if _one(file, topics.offset, frames) != "base_link":
+        raise RecordingError(f"{file}: '{topics.offset}' is needed in base_link")
+    return _held(stamp, sent_at, sent)
+
+
+def _held(t: Array, sent_at: Array, sent: Array) -> Array:
+    """An offset stands until the next one comes: at times t (k,), (k, 3)."""
+    return np.asarray(sent[np.clip(np.searchsorted(sent_at, t + 1e-6, side="right") - 1, 0, len(sent) - 1)])
 
 
 def _joints(file: Path, course: RecordedCourse, cell: Cell) -> Array:
@@ -174,8 +211,7 @@ def read_sweep(file: Path, cell: Cell, topics: Topics) -> tuple[Array, Array]:
     if len(t) < SHORTEST * RATE:
         raise RecordingError(f"{file}: offset and tracker overlap for {len(t) / RATE:.1f} s; {SHORTEST:g} s or more are needed")
     moved = _in_base(file, np.stack([np.interp(t, seen_at, x) for x in points.T], axis=1), frame, cell)
-    # an offset stands until the next one comes
-    held = sent[np.clip(np.searchsorted(sent_at, t + 1e-6, side="right") - 1, 0, len(sent) - 1)]
+    held = _held(t, sent_at, sent)
     if (held.std(axis=0) < _LEAST).any():
         raise RecordingError(
             f"{file}: the offset moves by {1e6 * held.std(axis=0).min():.1f} um RMS along an axis; sweep all three"

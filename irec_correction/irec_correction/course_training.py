@@ -35,6 +35,7 @@ class DrivenPart:
         q: (k, joints), rad; force: in tool0 as the filter will get it, (k, 3), N.
         moved: deviation of the TCP in base_link, (k, 3), m.
         counts: direction that counts, unit, in base_link, (k, 3). used: samples to learn from, (k,). rail: m.
+        offset: as it was sent to the robot, in base_link, (k, 3), m, where the course was driven with correction.
     """
 
     q: Array
@@ -43,6 +44,7 @@ class DrivenPart:
     counts: Array
     used: Array
     rail: float = 0.0
+    offset: Array | None = None
 
 
 def passed(stages: Sequence[Filter], force: Array) -> Array:
@@ -59,12 +61,18 @@ def passed(stages: Sequence[Filter], force: Array) -> Array:
 
 
 def driven_course(deflection: Deflection, part: DrivenPart, answers: Answers, postures: Array, period: float) -> DrivenCourse:
-    """What is learnt from; postures: that have taps of their own, (m, joints), rad."""
+    """What is learnt from; postures: that have taps of their own, (m, joints), rad.
+
+    What an offset has moved by the measured answer is taken off: what is left is the deviation as it would be without correction.
+    Where that answer is not quite that of the arm, a filter learnt from courses that it corrected itself is wrong by less.
+    """
     sent = _by_axis(deflection, part)
     near, impulses = nearness(answers.postures, part.q), list(answers.impulses)
     moved = np.stack([(moved_by(impulses, near, sent[:, a]) * part.counts).sum(axis=1) for a in range(3)], axis=1)
     # what the springs' curves make of the force beyond the sum over its axes passes whatever the taps are
     beyond = moved_by(impulses, near, _predicted(deflection, part, period) - sent.sum(axis=1))
+    if part.offset is not None:
+        beyond = beyond + moved_by(impulses, near, part.offset)
     deviation = ((part.moved - beyond) * part.counts).sum(axis=1)
     return DrivenCourse(moved, deviation, sent, nearness(postures, part.q), part.used)
 

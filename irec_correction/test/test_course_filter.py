@@ -84,8 +84,10 @@ def test_less_acceleration_costs_deviation() -> None:
 
 
 def test_too_little_to_learn_from_is_refused() -> None:
-    with pytest.raises(SettingsError, match="too few to learn 250 taps"):
-        learn([course(5)], RATE, 2.0, taps=250)
+    few = course(5)
+    few.used[3500:] = False
+    with pytest.raises(SettingsError, match="3200 samples are too few to learn 250 taps"):
+        learn([few], RATE, 2.0, taps=250)
     with pytest.raises(SettingsError, match="2 to 250"):
         learn([course(5)], RATE, 2.0, taps=1)
 
