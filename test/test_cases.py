@@ -214,7 +214,7 @@ def test_each_step_of_the_ladder_takes_the_mean_down_on_courses_that_it_was_not_
     save_model(
         diagnose.solved(read_session(session), blank_model([*EIGHTEEN_DOF, "joint_backlash"]))[0], afp.case.out / "ladder.yaml"
     )
-    profile = learned.profile_of(dry, train)
+    profile = learned.profile_of([dry], train)
     force, noise = learned.unsteady(afp.case, dry, train, profile)
     others = ways.only(held)
     some = (9, 11)
@@ -303,7 +303,7 @@ def test_tables_are_told_from_summaries_and_refused_before_a_case_is_done(
     names = ("18 DOF", tables.CONTACT, tables.CONTACT_DISC)
     summary = {
         "calibrated": "through the nodes: x", "draws": [asdict(drawn)], "table": {"without": row, **dict.fromkeys(names, after)},
-        "ladder": {"first": after, tables.START: row},
+        "ladder": {"once": [after], "first": [after, asdict(Figures(0.03, 0.3, 0.1, 0.1, 1.0))], tables.START: [row, row]},
     }  # fmt: skip
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     monkeypatch.setattr(tables, "_generated", lambda *_: ([drawn], ["80.0 %, 70.0 %"] * 3))
@@ -312,4 +312,5 @@ def test_tables_are_told_from_summaries_and_refused_before_a_case_is_done(
     assert "| roughing, through the nodes | 87.0 +- 2.0 % |" in lines
     assert "| roughing, through the nodes | 90.0 %, 75.0 % | 90.0 %, 75.0 % | 90.0 %, 75.0 % |" in lines
     assert "| roughing, generated | 80.0 %, 70.0 % | 80.0 %, 70.0 % | 80.0 %, 70.0 % |" in lines
-    assert "| first | 90.0 %, 75.0 % |" in lines
+    assert "| once | 90.0 %, 75.0 % |" in lines
+    assert "| first | 92.5 +- 5.0 %, 80.0 +- 10.0 % |" in lines

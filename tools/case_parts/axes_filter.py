@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter of each axis of the force, learnt from training courses driven without correction with the tracker on the tool."""
+"""The filter of each axis of the force, learnt from training courses driven with the tracker on the tool, without correction and
+then with what was learnt."""
 
 from __future__ import annotations
 
@@ -49,6 +50,7 @@ def _course(
     n = len(used)
     force = filtered(stages_before(filters_of(case)), drive.reading[:n, i])
     part = DrivenPart(
-        drive.ways.q[:n, i], force, drive.measured[:n, i], drive.ways.counts[:n, i], used, float(drive.ways.rail[i])
-    )
+        drive.ways.q[:n, i], force, drive.measured[:n, i], drive.ways.counts[:n, i], used, float(drive.ways.rail[i]),
+        drive.sent[:n, i] if drive.sent.any() else None,
+    )  # fmt: skip
     return driven_course(deflection, part, Answers(swept.postures, swept.impulses), postures, PERIOD)

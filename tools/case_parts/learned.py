@@ -8,13 +8,14 @@ import hashlib
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from irec_calibration.commands.modes import structure_of
 from irec_calibration.errors import RecordingError
-from irec_calibration.sensors.force_profile import CommonForce, ForcedCourse, common_force
+from irec_calibration.sensors.force_profile import CommonForce, ForcedCourse, common_force, smoothed
 from irec_calibration.sensors.latency import Latency, find_latency
 from irec_calibration.sensors.look_ahead import Design, Response, design
 from irec_calibration.sensors.motion_recording import read_force_and_motion
@@ -58,10 +59,11 @@ def lead_of(case: Case, latency: Latency) -> float:
     return float(np.clip(latency.delay - filters[-1].delay, 0.0, 0.1))
 
 
-def profile_of(drive: Drive, rows: Array) -> CommonForce:
-    """What the sensor's readings of the training courses have in common, in the directions of the path."""
+def profile_of(drives: Sequence[Drive], rows: Array) -> CommonForce:
+    """What the sensor's readings of the training courses have in common, in the directions of the path; each was driven several
+    times, and the more readings, the less of what is unsteady stays in it."""
     courses = []
-    for i in rows:
+    for drive, i in product(drives, rows):
         n = int(drive.ways.driving[:, i].sum())
         in_base = (drive.ways.R_tool[:n, i] @ drive.reading[:n, i, :, None])[..., 0]
         local = (drive.ways.path[:n, i].swapaxes(1, 2) @ in_base[:, :, None])[..., 0]
@@ -69,17 +71,18 @@ def profile_of(drive: Drive, rows: Array) -> CommonForce:
     return common_force(courses, PERIOD)
 
 
-def expected(profile: CommonForce, ways: Ways, i: int) -> Array:
-    """Force in tool0 at each step of course i, (n, 3), N."""
+def expected(profile: CommonForce, ways: Ways, i: int, smooth: bool = False) -> Array:
+    """Force in tool0 at each step of course i, (n, 3), N; smooth: without what comes too quickly to be answered ahead."""
     n = int(ways.driving[:, i].sum())
     local = profile.along(ways.way[:n, i] / ways.length[i], PERIOD)
+    local = smoothed(local, PERIOD) if smooth else local
     in_base = (ways.path[:n, i] @ local[:, :, None])[..., 0]
     return np.asarray((ways.R_tool[:n, i].swapaxes(1, 2) @ in_base[:, :, None])[..., 0])
 
 
 def write_profiles(profile: CommonForce, ways: Ways, courses: Array, path: Path) -> Path:
     """One expected force per course."""
-    np.savez(path, **{f"course_{c}": expected(profile, ways, i) for i, c in enumerate(courses)})  # type: ignore[arg-type]
+    np.savez(path, **{f"course_{c}": expected(profile, ways, i, smooth=True) for i, c in enumerate(courses)})  # type: ignore[arg-type]
     return path
 
 

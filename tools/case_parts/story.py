@@ -12,10 +12,13 @@ from pathlib import Path
 
 import numpy as np
 from irec_calibration.cell import read_cell
+from irec_calibration.typing import Array
+from irec_correction.course_filter import CourseFilter
 from irec_correction.fir import TapTable, write_taps
 from irec_sim.cellfile import read_cell as read_sim_cell
 from irec_sim.errors import SimError
 from irec_sim.production.hard import read_hard
+from irec_sim.production.runner import Drive
 from irec_sim.production.ways import Ways
 
 from . import calibrated, learned
@@ -25,11 +28,12 @@ from .jobs import Case, Job, load, meanwhile, run_jobs, ways_of
 from .left import Left, section, steady_job, what_is_left
 from .moving import improved_in_motion
 from .numbered import numbered
-from .page import LAST, NOT_KEPT, START, Found, write_report
+from .page import LAST, LEARNT, NOT_KEPT, PAPERS, START, Found, write_report
 from .posture import posture_section
-from .table import Figures, figures, in_draws, reduction
+from .table import Figures, average, figures, in_draws, reduction
 
 FEWEST = 4  # courses
+AGAIN = (0, 1, 2)  # seeds of the training courses that are driven with the filter learnt on them
 DRAWS = (1, 2, 3, 4)  # seeds of further drives: other unsteady force, other noise and drift, the same model
 
 
@@ -77,14 +81,13 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
     else:
         session = calibrated.measured_session(sim, cell, hard.truth, case.out / "session")
     six, eighteen = calibrated.six(session, case.out), calibrated.eighteen(session, case.out)
-    say(f"6 DOF leave {_um(six)} um on held-out poses, 18 DOF {_um(eighteen)} um; diagnosing and improving")
-    best = calibrated.improved(session, case.out, say.shares())
-    say(f"improved: {' + '.join(best.effects)}, {_um(best)} um on held-out poses")
+    say(f"6 DOF leave {_um(six)} um on held-out poses, 18 DOF {_um(eighteen)} um")
     behind = calibrated.link_session(sim, cell, hard.truth, case.out / "session_links")
     calibrated.beyond_links(behind, case.out)
     held = calibrated.by_contact(session, case.out)
     calibrated.by_contact(session, case.out, calibrated.DISC)
     say(f"without the tracker: {' + '.join(held.effects)}, {_um(held)} um on held-out poses, mostly along the normal")
+    plan = budget_jobs(case, say) if budget else None
     models = {k: str(case.out / f"model_{k}.yaml") for k in ("6dof", "18dof", "improved", "contact", "contact_disc")}
     whole = {
         "without": Job("without", rows),
@@ -97,20 +100,30 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
         "oracle": Job("oracle", rows, "oracle"),
     }
     corrected = {seed: replace(whole["18 DOF"], name=f"18dof_{seed}", seed=seed) for seed in DRAWS}
-    plan = budget_jobs(case, say) if budget else None
-    say(f"driving {len(rows)} courses without and with correction")
-    run_jobs(case, [*whole.values(), *draws.values(), *corrected.values(), *(plan.jobs if plan else [])], say, processes)
+    jobs = [*whole.values(), *draws.values(), *corrected.values(), *(plan.jobs if plan else [])]
+    say(f"diagnosing and improving; meanwhile driving {len(rows)} courses without and with correction")
+    with meanwhile(case, [job for job in jobs if job.model != models["improved"]]):
+        best = calibrated.improved(session, case.out, say.shares())
+    say(f"improved: {' + '.join(best.effects)}, {_um(best)} um on held-out poses")
+    run_jobs(case, jobs, say, processes)
     say("learning on every second course: the arm in motion, latency, force profile, answer of arm and drives, filter")
     ladder, told = _ladder(case, ways, rows, whole, list(draws.values()), say, processes)
-    run_jobs(case, [*ladder.values(), steady_job(ladder[LAST])], say, processes)
+    rungs = {name: [job, *(replace(job, name=f"{job.name}_{seed}", seed=seed) for seed in DRAWS)] for name, job in ladder.items()}
+    rungs[NOT_KEPT] = rungs.pop(NOT_KEPT)[:1]  # the last line of the table
+    run_jobs(case, [*(job for jobs in rungs.values() for job in jobs), steady_job(ladder[LAST])], say, processes)
+    rungs = {
+        START: [whole["without"], *draws.values()],
+        PAPERS: [whole["18 DOF"], *corrected.values()],
+        **rungs,
+    }  # driven with all courses already
     say("drawing the figures")
     left = what_is_left(case, ladder[LAST], cell.tolerance)
     before, after = ([figures(load(case, j)[0], cell.tolerance) for j in jobs] for jobs in (
         (whole["without"], *draws.values()), (whole["18 DOF"], *corrected.values())
     ))  # fmt: skip
     drawn = in_draws(case.name, before, after)
-    found = _collect(case, rows, whole, ladder, told, hard, plan.of(case, cell.tolerance) if plan else None, how, drawn)
-    found.numbered.insert(0, section(left, found.rungs[START]))
+    found = _collect(case, rows, whole, rungs, told, hard, plan.of(case, cell.tolerance) if plan else None, how, drawn)
+    found.numbered.insert(0, section(left, found.rungs[START][0]))
     report = write_report(found, case.out)
     _finish(case, found, left, say, report)
     return 1 if found.outside else 0
@@ -148,19 +161,22 @@ def _ladder(
     drive = load(case, whole["improved"])[0].zeroed
     latency, bag = learned.latency_of(case, drive, train)
     lead = learned.lead_of(case, latency)
-    profile = learned.profile_of(drive, train)
+    without = [load(case, j)[0].zeroed for j in (whole["without"], *again)]
+    profile = learned.profile_of(without, train)
     force, noise = learned.unsteady(case, drive, train, profile)
     driven = ways.only(np.array(rows))
     shaken, swept = learned.shaken_at(case, driven, train, processes)
     plain, shaped = learned.designs(case, force, noise, lead, shaken)
-    driven_without = [(load(case, j)[0].zeroed, train) for j in (whole["without"], *again)]
-    own, postures = learnt_filter(case, moving, driven_without, swept)
-    table = case.out / "filter.csv"
-    write_taps(table, TapTable(own.taps, postures, read_cell(case.cell_path).robot.joint_names))
-    some = tuple(int(rows[i]) for i in held_out)
-    path = learned.write_profiles(profile, ways.only(np.array(some)), np.array(some), case.out / "profiles.npz")
+    uncorrected = [(drive, train) for drive in without]
+    own, postures = learnt_filter(case, moving, uncorrected, swept)
+    table = _written(case, "filter.csv", own, postures)
+    some, taught = (tuple(int(rows[i]) for i in part) for part in (held_out, train))
+    path, to_teach = (
+        learned.write_profiles(profile, ways.only(np.array(part)), np.array(part), case.out / f"{name}.npz")
+        for name, part in (("profiles", some), ("profiles_training", taught))
+    )
     ahead, slack = float(min(latency.delay, 0.1)), round(min(2.0 * profile.spread, 0.2), 4)
-    jobs = {"18 DOF, as in the paper": Job("ladder_0", some, whole["18 DOF"].model)}
+    jobs = {}
     jobs["+ static effects (improve)"] = Job("ladder_1", some, whole["improved"].model)
     jobs["+ force sensor zeroed before each course"] = Job("ladder_zeroed", some, whole["improved"].model, zeroed=True)
     jobs["+ the arm measured in motion (improve)"] = step = Job(
@@ -170,9 +186,14 @@ def _ladder(
     jobs["+ known force profile"] = step = replace(step, name="ladder_3", profiles=str(path), ahead=ahead, slack=slack)
     jobs["+ filter for the measured spectrum"] = step = replace(step, name="ladder_4", taps=_taps(plain.taps), ahead=lead)
     jobs["+ answer of arm and drives undone"] = step = replace(step, name="ladder_5", taps=_taps(shaped.taps))
-    jobs[LAST] = replace(step, name="ladder_6", taps=(), filter_file=str(table), brisk=True)
-    jobs[NOT_KEPT] = jobs.pop(NOT_KEPT)  # the last line of the table
-    jobs[START] = Job("ladder_without", some)
+    jobs[LEARNT] = step = replace(step, name="ladder_6", taps=(), filter_file=str(table), brisk=True)
+    teach = replace(step, rows=taught, profiles=str(to_teach))
+    teaching = [replace(teach, name=f"training_{seed}", seed=seed) for seed in AGAIN]
+    say("learning once more on training courses that are corrected with what was learnt")
+    run_jobs(case, teaching, say, processes)
+    corrected = [(load(case, job)[0].zeroed, np.arange(len(taught))) for job in teaching]
+    once_more, postures = learnt_filter(case, moving, [*uncorrected, *corrected], swept)
+    jobs[LAST] = replace(step, name="ladder_7", filter_file=str(_written(case, "filter_again.csv", once_more, postures)))
     told = {
         "latency": latency,
         "bag": bag,
@@ -182,11 +203,18 @@ def _ladder(
         "plain": plain,
         "shaped": shaped,
         "own": own,
+        "once_more": once_more,
+        "again": len(AGAIN),
         "slack": slack,
         "profile": profile,
         "moving": moving,
     }
     return jobs, told
+
+
+def _written(case: Case, name: str, found: CourseFilter, postures: Array) -> Path:
+    write_taps(case.out / name, TapTable(found.taps, postures, read_cell(case.cell_path).robot.joint_names))
+    return case.out / name
 
 
 def _taps(taps) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
@@ -197,20 +225,19 @@ def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None, how: 
     tolerance = read_cell(case.cell_path).tolerance
     drives = {name: load(case, job) for name, job in whole.items()}
     table: dict[str, Figures] = {name: figures(d, tolerance) for name, (d, _) in drives.items()}
-    steps = {name: load(case, job) for name, job in ladder.items()}
-    rungs = {name: figures(d, tolerance) for name, (d, _) in steps.items()}
+    held_out = np.arange(1, len(rows), 2)
+    rungs = {name: [figures(_on(case, job, held_out), tolerance) for job in jobs] for name, jobs in ladder.items()}
+    steps = {name: load(case, jobs[0])[1] for name, jobs in ladder.items()}
     sections = numbered(case)
     if case.name == "machining":
-        other = np.array(next(iter(ladder.values())).rows)
-        sections.append(posture_section(case, ways_of(case, hard).only(other), told["profile"]))
+        sections.append(posture_section(case, ways_of(case, hard).only(np.array(rows)[held_out]), told["profile"]))
     return Found(
         case.name,
         tolerance,
         {n: d for n, (d, _) in drives.items()},
         table,
         rungs,
-        {n: t for n, (_, t) in {**drives, **steps}.items()},
-        {n: d for n, (d, _) in steps.items()},
+        {**{n: t for n, (_, t) in drives.items()}, **steps},
         told,
         hard,
         budget,
@@ -220,17 +247,22 @@ def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None, how: 
     )
 
 
+def _on(case: Case, job: Job, held_out: Array) -> Drive:
+    """Record of a job on the held-out courses; held_out: their numbers among those that the case drives."""
+    drive = load(case, job)[0]
+    return drive if len(job.rows) == len(held_out) else drive.only(held_out)
+
+
 def _finish(case: Case, found: Found, left: Left, say: Teller, report: Path) -> None:
     before = found.table["without"]
     print(f"\n  {'mm':34} {'mean':>8} {'max':>8} {'std':>8}   reduction of mean, max, std (%)   inside")
     for name, f in found.table.items():
         cut = "" if name == "without" else "{:8.1f} {:8.1f} {:8.1f}".format(*reduction(before, f))
         print(f"  {name:34} {f.mean:8.3f} {f.max:8.3f} {f.std:8.3f}   {cut:27}   {100 * f.inside:12.1f} %")
-    print("  on courses that nothing was learnt from:")
-    start = found.rungs[START]
-    for name, f in found.rungs.items():
-        cut = "{:8.1f} {:8.1f} {:8.1f}".format(*reduction(start, f))
-        print(f"  {name:34} {f.mean:8.3f} {f.max:8.3f} {f.std:8.3f}   {cut:27}   {100 * f.inside:12.1f} %")
+    print(f"  on courses that nothing was learnt from, mean of {1 + len(DRAWS)} draws: mean, maximum, reduction of mean, maximum")
+    for name, draws in found.rungs.items():
+        f, cut = average(draws), ", ".join(d.short for d in found.cuts(name))
+        print(f"  {name:45} {f.mean:8.3f} {f.max:8.3f}   {'' if name == START else cut}")
     print("  what is left on the last row of the ladder, mean and maximum:")
     for name, (mean, largest) in left.parts.items():
         print(f"  {name:50} {mean:8.3f} {largest:8.3f}")
@@ -243,10 +275,10 @@ def _finish(case: Case, found: Found, left: Left, say: Teller, report: Path) -> 
         "case": case.name,
         "calibrated": found.calibrated,
         "table": {n: asdict(f) for n, f in found.table.items()},
-        "ladder": {n: asdict(f) for n, f in found.rungs.items()},
+        "ladder": {n: [asdict(f) for f in draws] for n, draws in found.rungs.items()},
         "outside_bands": found.outside,
         "draws": [asdict(d) for d in found.drawn],
-        "last_rung_reduction": reduction(start, found.rungs[LAST]),
+        "last_rung_reduction": [asdict(d) for d in found.cuts(LAST)],
         "left_mm": left.parts,
         "left_without_common_mm": (left.own.mean, left.own.max),
         "budget_mm": found.budget.parts if found.budget else None,

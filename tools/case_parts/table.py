@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from irec_sim.production.runner import Drive
@@ -108,9 +108,10 @@ class Drawn:
 
     @property
     def short(self) -> str:
-        """Mean and how uncertain it is."""
+        """Mean and how uncertain it is, as far as there is more than one draw."""
         digits = 3 if self.unit == "mm" else 1
-        return f"{self.mean:.{digits}f} +- {self.uncertain:.{digits}f} {self.unit}"
+        uncertain = f" +- {self.uncertain:.{digits}f}" if len(self.values) > 1 else ""
+        return f"{self.mean:.{digits}f}{uncertain} {self.unit}"
 
     @property
     def told(self) -> str:
@@ -145,6 +146,19 @@ def in_draws(case: str, before: Sequence[Figures], after: Sequence[Figures]) -> 
         Drawn("reduction of the mean", "%", tuple(c[0] for c in cuts), paper.mean_reduction),
         Drawn("reduction of the maximum", "%", tuple(c[1] for c in cuts), paper.max_reduction),
     ]
+
+
+def average(draws: Sequence[Figures]) -> Figures:
+    """Mean of each figure over the draws."""
+    return Figures(*(float(np.mean([getattr(f, k.name) for f in draws])) for k in fields(Figures)))
+
+
+def cuts_in_draws(case: str, before: Sequence[Figures], after: Sequence[Figures]) -> tuple[Drawn, Drawn]:
+    """Reduction of the mean and of the maximum in several draws, the first ones of `before`; the band is that of the target."""
+    cuts = [reduction(b, a) for b, a in zip(before, after, strict=False)]
+    names, targets = ("mean less by", "maximum less by"), PAPER[case].targets
+    mean, largest = (Drawn(names[k], "%", tuple(c[k] for c in cuts), (targets[k], 100.0)) for k in (0, 1))
+    return mean, largest
 
 
 def outside_bands(case: str, before: Sequence[Figures], after: Sequence[Figures]) -> list[str]:

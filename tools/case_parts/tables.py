@@ -19,7 +19,7 @@ from .ends import print_ends
 from .jobs import Case, Job, load, run_jobs, ways_of
 from .page import START
 from .story import CONTACT, CONTACT_DISC, DRAWS, courses_of
-from .table import Drawn, Figures, figures, in_draws, line, markdown, reduction
+from .table import Drawn, Figures, cuts_in_draws, figures, in_draws, line, markdown, reduction
 
 CALLED = {"afp": "fibre placement", "machining": "roughing"}
 
@@ -42,7 +42,7 @@ def print_tables(cases: Sequence[Case], processes: int) -> None:
     for case in cases:
         if case.name == "afp":
             print_ends(case, processes)
-    markdown("The ladder: mean, maximum less by", ", ".join(CALLED[c.name] for c in cases), _ladder(list(done.values())))
+    markdown("The ladder: mean, maximum less by", ", ".join(CALLED[c.name] for c in cases), _ladder(done))
 
 
 def _say(text: str) -> None:
@@ -84,13 +84,15 @@ def _cut(before: Figures, after: Figures) -> str:
     return f"{mean:.1f} %, {largest:.1f} %"
 
 
-def _ladder(done: list[dict[str, Any]]) -> list[str]:
-    steps = list(dict.fromkeys(step for summary in done for step in summary["ladder"] if step != START))
+def _ladder(done: dict[str, dict[str, Any]]) -> list[str]:
+    """Rows of the ladder, means over the draws; done: summaries by the name of the case."""
+    steps = list(dict.fromkeys(step for summary in done.values() for step in summary["ladder"] if step != START))
     out = []
     for step in steps:
         cells = []
-        for summary in done:
-            f = summary["ladder"].get(step)
-            cells.append(_cut(Figures(**summary["ladder"][START]), Figures(**f)) if f else "")
+        for name, summary in done.items():
+            ladder = {k: [Figures(**f) for f in draws] for k, draws in summary["ladder"].items()}
+            told = cuts_in_draws(name, ladder[START], ladder[step]) if step in ladder else ()
+            cells.append(", ".join(d.short for d in told))
         out.append(line(step, cells))
     return out

@@ -105,6 +105,13 @@ class Drive:
         """Measured error of the part, (steps, rows), m."""
         return self.along(self.measured)
 
+    def only(self, rows: Array) -> Drive:
+        """Some of the courses."""
+        ways = self.ways.only(rows)
+        over_time = ("deviation", "measured", "static", "offset", "sent", "force", "reading", "counted", "judged")
+        some = {name: getattr(self, name)[: len(ways.q), rows] for name in over_time}
+        return Drive(ways, in_air=self.in_air[rows], **some)
+
     @property
     def zeroed(self) -> Drive:
         """The same with the force sensor zeroed before each course."""
