@@ -92,21 +92,25 @@ class Rows:
         return (in_base - commanded + commanded[:, :1])[:, 1:]
 
 
-def simulate(cell: CellFile, physics: Physics, schedule: Schedule, came_from: Array | None = None) -> Rows:
+def simulate(
+    cell: CellFile, physics: Physics, schedule: Schedule, came_from: Array | None = None, bumped: float | None = None
+) -> Rows:
     """Run Procedure 1 in the plant.
 
     Args:
         came_from: joint angles before the first pose, (joints,), rad; None: it stood there already.
+        bumped: moment at which a station was bumped, s, where that was in a pass before; None: in this one, if at all.
     """
-    rows = _run(cell, physics, schedule, None)
+    bumped = bump(schedule, physics.sensing) if bumped is None else bumped
+    rows = _run(cell, physics, schedule, None, bumped)
     first = rows.q[:1, 0] if came_from is None else came_from[None]
     q_before = np.concatenate([first, rows.q[:-1, -1]])
     if np.any(physics.sensing.settle):
-        return _run(cell, physics, schedule, q_before)
+        return _run(cell, physics, schedule, q_before, bumped)
     return replace(rows, q_before=q_before)
 
 
-def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array | None) -> Rows:
+def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array | None, bumped: float) -> Rows:
     plant, sensing, chain = Plant(cell.chain, physics.plant), physics.sensing, cell.chain
     N, rows = schedule.stamp.shape
     poses = schedule.poses
@@ -119,7 +123,7 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
         pose = forward(chain, q)
         q = q + _solve(pose.jacobian(), p_reference - pose.p_tcp)
     collected: dict[str, list[Array]] = {k: [] for k in ("q", "controller", "marker", "distance", "reading", "tcp", "link")}
-    shifted = _after_shift(schedule, sensing)
+    shifted = schedule.stamp >= bumped
     state: State | None = None
     frees = np.isfinite(physics.plant.release)
     p_contact = np.zeros((N, 3))
@@ -201,15 +205,15 @@ def conditions_at(schedule: Schedule, j: int, base_in_cell: Array, force_in_tool
     )  # fmt: skip
 
 
-def _after_shift(schedule: Schedule, sensing: SensingParameters) -> BoolArray:
-    """Rows after the station was bumped, (N, M + 1) bool: in the midst of a pose that it sees, where it can be noticed."""
-    N, rows = schedule.stamp.shape
+def bump(schedule: Schedule, sensing: SensingParameters) -> float:
+    """The moment at which the station is bumped, s: in the midst of a pose that it sees, where it can be noticed; inf: never."""
+    rows = schedule.stamp.shape[1]
     seen = np.flatnonzero(schedule.station == sensing.shift_station)
     place = sensing.shift_share * len(seen)
     if int(place) >= len(seen):
-        return np.zeros((N, rows), dtype=bool)
+        return np.inf
     row = 1 + int((place - int(place)) * (rows - 1))
-    return schedule.stamp >= schedule.stamp[seen[int(place)], row]
+    return float(schedule.stamp[seen[int(place)], row])
 
 
 def _solve(jacobian: Array, dp: Array) -> Array:

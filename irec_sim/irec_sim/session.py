@@ -19,7 +19,7 @@ from .errors import SimError
 from .kinematics import Array, quaternion_of_rotation
 from .mishaps import Mishap, orientation, spoil
 from .noise import TrueNoise, marker_noise
-from .observe import Rows, Schedule, simulate
+from .observe import Rows, Schedule, bump, simulate
 from .outside import READ_BY_SENSOR
 from .poses import Poses, spread_poses
 from .recorded import Pass
@@ -122,13 +122,14 @@ def generate(
     few = np.sort(rng.choice(poses, min(conduct.repeated_poses or poses, poses), replace=False))
     physics = truth.physics()
     out = Generated(cell, conduct, dict(conduct.claim or cell.noise), [], [], [])
-    start, clean = 0.0, []
+    start, clean, bumped = 0.0, [], None
     for repeat in range(conduct.repeats):
         again = few if repeat else np.arange(poses)
         where = Poses(every.q[again], every.rail[again], every.p[again], every.R[again])
         schedule = make_schedule(cell, where, start, rng, conduct.random_order)
         start = float(schedule.stamp[-1, -1])
-        rows = simulate(cell, physics, schedule, out.rows[-1].q[-1, -1] if out.rows else None)
+        bumped = bump(schedule, physics.sensing) if bumped is None else bumped  # a station stays where it was bumped to
+        rows = simulate(cell, physics, schedule, out.rows[-1].q[-1, -1] if out.rows else None, bumped)
         out.schedules.append(schedule)
         out.rows.append(rows)
         clean.append(again + 1)

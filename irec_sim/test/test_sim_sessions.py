@@ -266,6 +266,13 @@ def test_what_only_the_instruments_see_does_not_deflect_the_tcp():
         assert np.abs(rows.deflection - plain.deflection).max() < 1e-9, effect
 
 
+def test_a_station_that_was_bumped_stays_there_in_later_passes():
+    made = generate(MILLING, make_truth("milling", ["station_shift"], 1), 6, 3, repeats=3)
+    parted = [(rows.shifted != rows.shifted[:, :1]).any(axis=1).sum() for rows in made.rows]
+    assert parted == [1, 0, 0]
+    assert all(rows.shifted.all() for rows in made.rows[1:])
+
+
 @pytest.mark.parametrize("path", sorted(TRUTHS.glob("*.yaml")), ids=lambda p: p.stem)
 def test_truth_files_of_the_repository_can_be_read_and_written_again(path, tmp_path):
     truth = read_truth(path, "afp", 3)
