@@ -73,7 +73,7 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
     The general law of an axis' torque is no rival of an effect that is a form of it: it stays out on both sides. Where another
     effect bends the curve of that axis already, it is one: gears follow neither exactly, and the second may only mend the first.
     A drift of another form, and a link that tilts instead of an axis that turns, is no rival unless it explains more than what is
-    not told apart.
+    not told apart; a drift of another form is one where it is left beside the name and explains more than that.
     A curve of few coefficients has a cause's form only nearly: a share of what the nonparametric structures explain counts for
     them. Where the readings at the references have the effect, which no structure moves, none is its rival; and where
     differences bear out the value of the readings, both count.
@@ -107,8 +107,11 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
         odds = min(odds, own - instead + max(left + may_be_as_weak, more))
     if forms.drifts:
         instead, more = beside(NO_FORMS)
+        # where most of a drift is left to another form of it, the name is not that drift, and has to be told apart from it
+        other = sum(p.log_evidence for p in one.remainder.structures if p.structure.is_drift)
+        told = may_be_as_weak if other <= own else 0.0
         # another cause whose form is not quite right leaves a drift too, told from this one by nothing: twice the evidence
-        odds = min(odds - settings.nats_to_name, own + more - instead + may_be_as_weak)
+        odds = min(odds - settings.nats_to_name, own + more - instead + told)
     if in_one_pose(one, effect_id):  # differences don't tell it from a bad pose, the readings of later poses may
         odds += lasts(one.study, one.term(effect_id))
     odds -= settings.share_of_form * max(in_place - left, 0.0)

@@ -105,6 +105,30 @@ def test_the_general_law_of_an_axis_is_a_rival_where_another_effect_bends_its_cu
     assert left_out and set(left_out) == {frozenset({1})}
 
 
+@pytest.mark.parametrize(("own", "left", "named"), [(40.0, 20.0, True), (20.0, 40.0, False)])
+def test_a_drift_most_of_which_has_another_form_is_no_thermal_drift(
+    monkeypatch: pytest.MonkeyPatch, own: float, left: float, named: bool
+) -> None:
+    """Structures alone explain as much as name and structures do."""
+    drift = SimpleNamespace(log_evidence=left, structure=SimpleNamespace(is_drift=True))
+    rest = SimpleNamespace(gained=left, parts=(drift,), structures=(drift,), bad_rows=())
+    term = SimpleNamespace(effect=SimpleNamespace(family=None, in_readings=False))
+    one: Any = SimpleNamespace(named=own, study=SimpleNamespace(ready=None), term=lambda _: term, remainder=rest)
+    bare: Any = SimpleNamespace(named=0.0, study=None, remainder=SimpleNamespace(gained=own + left))
+
+    def remainder_of(study: object, family: object, parts: object, forms: Forms = NO_FORMS) -> SimpleNamespace:
+        return SimpleNamespace(gained=0.0 if forms.drifts else own + left)
+
+    monkeypatch.setattr(naming, "forms_of", lambda *_: Forms(drifts=True))
+    monkeypatch.setattr(naming, "bent_by_others", lambda *_: frozenset())
+    monkeypatch.setattr(naming, "remainder_of", remainder_of)
+    monkeypatch.setattr(naming, "everywhere", lambda *_: False)
+    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
+    family: Any = None
+    odds = naming.odds_of(one, bare, "thermal_drift", family, SETTINGS)
+    assert (odds > naming.needed(one, "thermal_drift", SETTINGS)) == named
+
+
 @pytest.mark.parametrize("rows", [0, 5])
 def test_structure_in_its_place_has_to_be_told_apart_from_a_name_that_is_there_for_certain(
     monkeypatch: pytest.MonkeyPatch, rows: int
