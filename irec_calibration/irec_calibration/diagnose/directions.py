@@ -255,3 +255,6 @@ def drifts(study: Study) -> Iterator[Direction]:
         yield Direction(f"{name}: growing with the reach", (name,), by_reach * course[:, None, None], is_drift=True)
         yield Direction(f"{name}: turning the axes", (name,), scene.J * course[:, None, None], is_drift=True)
         yield Direction(f"{name}: along the tool", (name,), scene.kin.R_tool * course[:, None, None], is_drift=True)
+        # no form of what grows with warmth: the force sensor's zero drifts, or something pulls more and more
+        pulled = _scaled(scene.response.compliance[:, :, :3], loaded) * (course / TYPICAL_DISPLACEMENT)[:, None, None]
+        yield Direction(f"{name}: as a force at the tool", (name,), pulled)

@@ -206,6 +206,8 @@ def test_a_drift_is_a_form_of_thermal_drift_and_of_nothing_else() -> None:
     assert drifts
     assert all(forms_of(Term(find_effect("thermal_drift")), found.ready).has(s) for s in drifts)
     assert not any(forms_of(Term(find_effect("creep")), found.ready).has(s) for s in drifts)
+    pulled = [s for s in family_of(found).structures if s.words == "stamp: as a force at the tool"]
+    assert len(pulled) == 1 and not pulled[0].is_drift  # a force that grows with time is no warmth
 
 
 def test_a_bad_pose_has_no_say_in_whether_a_model_helps_on_held_out_poses() -> None:
