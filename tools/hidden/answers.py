@@ -30,7 +30,7 @@ class Case:
     Attributes:
         hidden: effects that are asked for; visible: those that the oracle sees; background: what the base model has anyway
             (geometry, of absolute sessions). What is there but too small to show is none of them: nobody can know its name.
-        named: effects of the verdict; ladder: effects that `improve` added.
+        named: effects of the verdict; ladder: effects that `improve` added as causes, not to stand in for others.
         accused: poses that the diagnosis lists as having doubtful rows.
     """
 
@@ -190,7 +190,7 @@ def read_case(row: dict[str, str], truth: Path, out: Path) -> Case:
     ladder = json.loads((there / "ladder.json").read_text(encoding="utf-8"))
     verdict = said["verdict"]
     case.status, case.named, case.depends_on = verdict["status"], verdict["effects"], verdict.get("depends_on", [])
-    case.ladder = [s["added"] for s in ladder["steps"] if s.get("added") and s["added"] not in FORM]
+    case.ladder = [s["added"] for s in ladder["steps"] if s.get("added") and s["added"] not in FORM and s.get("named", True)]
     case.ranked = [c["effect"] for c in said["candidates"]]
     case.accused = sorted(accused_poses(said))
     if case.kind == "absolute":

@@ -212,6 +212,9 @@ def plain(study: Study) -> Iterator[Direction]:
     by_torque = scene.response.compliance[:, :, 3:]
     beside = np.stack([np.einsum("nij,nj->ni", by_torque, np.cross(e, scene.force_in_tool)) for e in np.eye(3)], axis=2)
     yield Direction("as if the force acted beside the TCP", ("load_case", f"tau_{scene.n_joints}"), _scaled(beside, rows))
+    # with load cases of one size each this passes for different gains of the components, and those for this
+    bent = scene.response.compliance[:, :, :3] * (scene.force_in_tool * np.abs(scene.force_in_tool))[:, None, :]
+    yield Direction("as if the gain of the force sensor changed with the load", ("force_z", "load_case"), _scaled(bent, rows))
     on = _under_load(scene)
     yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)

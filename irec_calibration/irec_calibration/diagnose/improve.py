@@ -37,6 +37,7 @@ class Rung:
         cv_rms_m, cv_rms_se_m: error on held-out poses and its standard error over poses; fit_rms_m: on the poses of the fit.
         log_evidence: for the addition.
         parts: of each effect that was added so far: which axes or directions the session proves.
+        named: the addition is a cause that the session shows; False: it predicts other poses and stands in for what has no name.
     """
 
     added: str
@@ -47,6 +48,7 @@ class Rung:
     log_evidence: float
     model: Model
     parts: dict[str, Parts] = field(default_factory=dict)
+    named: bool = True
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class Ladder:
                 "cv_rms_se_m": r.cv_rms_se_m,
                 "log_evidence": r.log_evidence,
                 "parts": parts_json(r.parts),
+                "named": r.named,
             }
             for r in self.rungs
         ]
@@ -117,6 +120,9 @@ def improve(
         rungs.append(_rung(one, effect, evidence, rungs[-1].model, assessment.parts if is_last else {}))
     if shown.without_form is not None:
         rungs.append(_rung(shown.after, "+".join(shown.form), shown.form_evidence, rungs[-1].model, assessment.parts))
+    if shown.with_stand_in is not None and assessment.built.closest is not None:
+        more = assessment.built.closest.named - added.named
+        rungs.append(replace(_rung(shown.with_stand_in, shown.stands_in, more, rungs[-1].model), named=False))
     readings = assessment.readings
     if assessment.weight_wrong and readings is not None and READ_AT_REFERENCES.id not in rungs[-1].effects:
         term = next(c.term for c in before.candidates if c.effect == READ_AT_REFERENCES.id)

@@ -8,7 +8,7 @@ of a model in the end must be what every other command says of it on the same se
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..identification.validation import gain
 from ..model import Term
@@ -16,12 +16,13 @@ from ..session.data import Session
 from .assessment import Assessment
 from .held_out import Validated, validated
 from .settings import SETTINGS
+from .stand_in import stand_in
 from .study import form_evidence, study_of
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Three versions of a model.
+    """Versions of a model.
 
     Attributes:
         asked: as it was asked about.
@@ -29,6 +30,7 @@ class Shown:
         form_evidence: log evidence for them, beside the effects that were added where these hide it.
         after: with every effect that was added, too; the best of the others where none was.
         without_form: `after` without the form, where that is better only beside the added effects; else None.
+        stands_in: id of an effect that predicts other poses but can't be named; with_stand_in: `after` with it, else None.
     """
 
     asked: Validated
@@ -37,6 +39,13 @@ class Shown:
     completed: Validated | None
     after: Validated
     without_form: Validated | None = None
+    stands_in: str = ""
+    with_stand_in: Validated | None = None
+
+    @property
+    def best(self) -> Validated:
+        """The model that predicts best."""
+        return self.with_stand_in or self.after
 
     @property
     def form_matters(self) -> bool:
@@ -51,6 +60,16 @@ def shown_of(session: Session, asked: Validated, assessment: Assessment, check: 
     Args:
         session: as it was read; asked: the model that was asked about; check: raises where the work was cancelled.
     """
+    shown = _named(session, asked, assessment, check)
+    if not assessment.evidence:
+        return shown
+    effect_id, one = stand_in(session, assessment.built, shown.after)
+    check()
+    return replace(shown, stands_in=effect_id, with_stand_in=one)
+
+
+def _named(session: Session, asked: Validated, assessment: Assessment, check: Callable[[], None]) -> Shown:
+    """The models with what is named."""
     start = assessment.built.start.study
     form = tuple(t.effect.id for t in start.terms[len(assessment.asked.terms) :])
     # what is missing may hide the form: without any effect that was added it has to show itself

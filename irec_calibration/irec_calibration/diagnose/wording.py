@@ -57,6 +57,7 @@ def verdict_of(
     parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
     parts += _rest(assessment)
     parts += _form(shown)
+    parts += _stands_in(shown)
     parts += _noise(assessment.noise)
     parts += _bad_rows(assessment)
     if assessment.status == "adequate":
@@ -146,6 +147,17 @@ def _form(shown: Shown) -> list[str]:
         return []
     before, after = shown.asked.held_out.rms_m, shown.completed.held_out.rms_m
     return [f"The springs' {labels} matters too: with it the error on held-out poses is {length(after)} for {length(before)}."]
+
+
+def _stands_in(shown: Shown) -> list[str]:
+    """What an improved model has that is no diagnosis."""
+    if shown.with_stand_in is None:
+        return []
+    before, after = shown.after.held_out.rms_m, shown.with_stand_in.held_out.rms_m
+    return [
+        f"The improved model has {_label(shown.stands_in)} to predict what has no name, which is no diagnosis: the error on"
+        f" held-out poses is {length(after)} for {length(before)}."
+    ]
 
 
 def _bad_rows(assessment: Assessment) -> list[str]:

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An effect that can't be named but predicts other poses is part of an improved model, and is said to be no diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import Ladder, improve
+from irec_calibration.effects.of_session import scene_of
+from irec_calibration.identification.observe import observe
+from irec_calibration.model import Model
+from irec_calibration.session import Session
+from test_diagnose import play_in_the_bearing_of_axis_5, session
+
+
+@pytest.fixture(scope="module")
+def ladder() -> Ladder:
+    return improve(session(play_in_the_bearing_of_axis_5))
+
+
+def missed(model: Model) -> float:
+    """RMS over rows of what a model misses of the marker's true displacement at other poses, m."""
+    exact = synthetic.Noise(tracker_m=1e-12, force_n=0.0)
+    others = synthetic.session(seed=11, extra=play_in_the_bearing_of_axis_5, noise=exact)
+    seen, scene = observe(others), scene_of(others)
+    return float(np.sqrt(((seen.y - scene.change(model.predict(scene))[seen.rows]) ** 2).sum(axis=1).mean()))
+
+
+def test_what_cannot_be_named_stands_in_for_what_is_missing_and_is_no_diagnosis(ladder):
+    verdict = ladder.before.verdict
+    assert (verdict.status, verdict.effects) == ("unexplained", ())
+    last = ladder.rungs[-1]
+    assert (last.added, last.named) == ("joint_backlash", False)
+    assert all(r.named for r in ladder.rungs[:-1])
+    assert "which is no diagnosis" in verdict.text
+    assert [s["named"] for s in ladder.to_json()["steps"]] == [r.named for r in ladder.rungs]
+    assert ladder.before.cv_rms_after_m == last.cv_rms_m < ladder.rungs[-2].cv_rms_m
+
+
+def test_a_model_with_what_stands_in_predicts_other_poses_better(ladder):
+    assert missed(ladder.rungs[-1].model) < 0.95 * missed(ladder.rungs[-2].model)
+
+
+def read_with_gain(loss_per_kilonewton: float) -> Session:
+    """A clean session whose force sensor reads each component the lower the larger it is."""
+    clean = session(None)
+    force = clean.force_in_tool
+    return replace(clean, force_in_tool=force * (1.0 - loss_per_kilonewton * np.abs(force) / 1000.0))
+
+
+def test_a_force_sensor_whose_gain_falls_with_the_load_is_not_called_one_with_different_gains():
+    found = improve(read_with_gain(0.1))
+    assert (found.before.verdict.status, found.before.verdict.effects) == ("unexplained", ())
+    assert "sensor_gain" not in [r.added for r in found.rungs if r.named]
+
+
+def test_different_gains_of_a_force_sensor_are_named_all_the_same():
+    clean = session(None)
+    crosstalk = np.array([[0.02, 0.03, -0.04], [0.01, 0.02, 0.05], [0.03, -0.02, -0.04]])
+    read = clean.force_in_tool @ np.linalg.inv(np.eye(3) + crosstalk).T
+    assert improve(replace(clean, force_in_tool=read)).before.verdict.effects == ("sensor_gain",)
