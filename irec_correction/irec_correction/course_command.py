@@ -100,7 +100,7 @@ def _tell(args: argparse.Namespace, found: CourseFilter, courses: int, postures:
     print(
         f"{seconds:.0f} s of {courses} courses, {postures} postures with taps of their own\n"
         f"on these courses it leaves {1e6 * found.left:.1f} um RMS of the unsteady deviation, the unfiltered prediction"
-        f" {1e6 * found.before:.1f} um (acceleration of the offset {found.acceleration:.2f} m/s^2 RMS)\n"
+        f" {1e6 * found.before:.1f} um (acceleration of the offset {found.acceleration:.2f} m/s^2 RMS where it is roughest)\n"
         f"written: {args.output}\n"
         f"for the correction: filter.file: {args.output}, lead: 0.0, limit.translation_acceleration: {args.acceleration:g};"
         " judge it on courses that are not among these"

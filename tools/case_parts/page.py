@@ -226,7 +226,8 @@ def _learned(found: Found, folder: Path) -> Section:
         "Filter of each axis of the force: learnt from the training courses that were driven without correction with the tracker "
         f"on the tool, and from offsets swept at nine postures. On these courses it leaves {1e6 * told['own'].left:.1f} um RMS "
         f"of the measured deviation, the unfiltered prediction {1e6 * told['own'].before:.1f} um. Acceleration of the offset "
-        f"{told['own'].acceleration:.2f} m/s^2 RMS; the limit is raised to {BRISK.translation.acceleration:g} m/s^2 for it.",
+        f"{told['own'].acceleration:.2f} m/s^2 RMS in the roughest tenth of the time; the limit is raised to "
+        f"{BRISK.translation.acceleration:g} m/s^2 for it.",
         f"Once more: the training courses were driven {told['again']} times with that filter, and it was learnt anew from all "
         "drives, without correction and with it (less what the offset that was sent has moved): "
         f"{1e6 * told['once_more'].left:.1f} um RMS. Where the answer to an offset is not quite that of the standing arm, it "
