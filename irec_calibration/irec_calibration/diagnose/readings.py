@@ -26,7 +26,6 @@ from .study import Study
 
 READINGS = SETTINGS.lasting
 WIDEST = float(FACTORS.max())  # of the prior of a value, in multiples of its width
-FARTHEST = 5.0  # standard errors between a value that readings show and the one of differences, which other causes bend
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ def carried(study: Study, term: Term) -> float:
     with_it, x = fitted(known.values - moved, np.concatenate([known.ground, within], axis=2))
     odds = with_it - known.log_evidence
     # something else moves the readings, where that would be far from the value that differences show
-    elsewhere = np.abs(x[known.ground.shape[2] :]).max(initial=0.0) > FARTHEST
+    elsewhere = np.abs(x[known.ground.shape[2] :]).max(initial=0.0) > READINGS.farthest
     return min(odds, 0.0) if elsewhere else odds
 
 

@@ -43,6 +43,10 @@ class LastingThresholds(Thresholds):
     level_m: float = threshold(2e-5, "m", "scatter of a pose's mean", "start; its own size follows from the readings")
     level_dof: float = threshold(1.0, "equations", "how much that start counts", "as little as one equation")
     fewest: int = threshold(3, "poses", "before and after a step; with fewer it is not asked", "with two, one bad pose decides")
+    farthest: float = threshold(
+        5.0, "standard errors", "between a value that readings show and that of differences, beyond which it is another cause's",
+        "other causes bend differences; at five not even these make them one",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
