@@ -26,7 +26,7 @@ from .explanation import (
 )
 from .family import Family
 from .form_errors import evidence_beside
-from .forms import NO_FORMS, Forms, forms_of
+from .forms import NO_FORMS, Forms, bends, forms_of
 from .held_out import held_out, only_good_poses
 from .lasting import lasts
 from .readings import along_readings
@@ -104,7 +104,10 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
         return min(odds + may_be_as_weak, own)
     if law:  # gears have laws of their own far more often than bearings: without any tilt it may be as weak, else it needs it all
         instead, more = beside(forms)
-        odds = min(odds, own - instead + max(left + may_be_as_weak, more))
+        # that several gears should bend at once is no likelier than that one bearing gives way
+        rare = len(bends(one.term(effect_id), one.study.ready)) > 1
+        odds = min(odds, own - instead + max(left + (0.0 if rare else may_be_as_weak), more))
+        in_place = max(in_place, instead) if rare else in_place
     if forms.drifts:
         instead, more = beside(NO_FORMS)
         # where most of a drift is left to another form of it, the name is not that drift, and has to be told apart from it

@@ -148,3 +148,28 @@ def test_a_name_that_is_hardly_there_needs_all_its_evidence_without_any_structur
         < 0.0
         < held(monkeypatch, own=least + 0.1, in_place=0.0, rows=rows)
     )
+
+
+@pytest.mark.parametrize(("axes", "named"), [({2}, True), ({0, 2, 3}, False)])
+def test_a_bearing_that_gives_way_is_no_less_likely_than_several_gears_that_bend_at_once(
+    monkeypatch: pytest.MonkeyPatch, axes: set[int], named: bool
+) -> None:
+    """A link that tilts explains almost as much as a law of torque does; nothing else explains half of it."""
+    rest = SimpleNamespace(gained=0.0, parts=(), structures=(), bad_rows=())
+    term = SimpleNamespace(effect=SimpleNamespace(family=naming.Alike.TORQUE_LAW, in_readings=False))
+    one: Any = SimpleNamespace(named=118.0, study=SimpleNamespace(ready=None), term=lambda _: term, remainder=rest)
+    bare: Any = SimpleNamespace(named=0.0, study=None, remainder=rest)
+
+    def remainder_of(study: object, family: object, parts: object, forms: Forms = NO_FORMS) -> SimpleNamespace:
+        in_place = study is bare.study
+        return SimpleNamespace(gained=0.0 if not in_place else 50.0 if forms.tilts else 112.0)
+
+    monkeypatch.setattr(naming, "forms_of", lambda *_: Forms(axes=frozenset(axes)))
+    monkeypatch.setattr(naming, "bends", lambda *_: frozenset(axes))
+    monkeypatch.setattr(naming, "bent_by_others", lambda *_: frozenset())
+    monkeypatch.setattr(naming, "remainder_of", remainder_of)
+    monkeypatch.setattr(naming, "everywhere", lambda *_: False)
+    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
+    family: Any = None
+    odds = naming.odds_of(one, bare, "joint_stiffening", family, SETTINGS)
+    assert (odds > naming.needed(one, "joint_stiffening", SETTINGS)) == named
