@@ -19,6 +19,7 @@ ROOT = Path(__file__).parent
 sys.path.append(str(ROOT / "tools"))
 
 from demo_parts.domain import take_domain  # noqa: E402
+from irec_calibration.effects import registry  # noqa: E402
 
 FIRST_DOMAIN, LAST_DOMAIN = 60, 99  # below 101, where Linux hands out ephemeral ports
 STOP_SECONDS = 10.0
@@ -34,6 +35,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "ros" in item.keywords:
             item.add_marker(skip)
+
+
+@pytest.fixture(autouse=True)
+def effects_of_this_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Effects that a test registers are candidates of every later diagnosis of the process: they end with the test."""
+    for name in ("_registered", "_files"):
+        monkeypatch.setattr(registry, name, dict(getattr(registry, name)))
 
 
 @pytest.fixture
