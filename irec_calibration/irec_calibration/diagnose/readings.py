@@ -19,12 +19,10 @@ from ..model import Term
 from ..model.model import displacement_of
 from ..typing import Array, IntArray
 from .evidence import Block
-from .lasting import fitted, usually_beyond
+from .lasting import LASTING, fitted, usually_beyond
 from .priors import FACTORS
-from .settings import SETTINGS
 from .study import Study
 
-READINGS = SETTINGS.lasting
 WIDEST = float(FACTORS.max())  # of the prior of a value, in multiples of its width
 
 
@@ -56,7 +54,7 @@ def readings_of(study: Study, effect: Effect) -> Readings | None:
     rows = np.unique(scene.reference[study.observation.rows])
     seen = beyond_controller(session, scene)
     rows = rows[np.isfinite(seen[rows]).all(axis=1)]
-    if len(np.unique(session.pose[rows])) < 2 * READINGS.fewest:
+    if len(np.unique(session.pose[rows])) < 2 * LASTING.fewest:
         return None
     values = seen[rows]
     for other in study.terms:
@@ -92,7 +90,7 @@ def carried(study: Study, term: Term) -> float:
     with_it, x = fitted(known.values - moved, np.concatenate([known.ground, within], axis=2))
     odds = with_it - known.log_evidence
     # something else moves the readings, where that would be far from the value that differences show
-    elsewhere = np.abs(x[known.ground.shape[2] :]).max(initial=0.0) > READINGS.farthest
+    elsewhere = np.abs(x[known.ground.shape[2] :]).max(initial=0.0) > LASTING.farthest
     return min(odds, 0.0) if elsewhere else odds
 
 

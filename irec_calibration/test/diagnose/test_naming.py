@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -65,6 +66,21 @@ def test_no_evidence_makes_up_for_held_out_poses_that_get_no_better(monkeypatch:
     assert answer(monkeypatch, 1e6, better_by) == "it does not help on held-out poses"
 
 
+def odds_beside(
+    monkeypatch: pytest.MonkeyPatch, one: Any, bare: Any, forms: Forms, remainder_of: Callable[..., object],
+    effect_id: str = "joint_backlash", bent_by_others: frozenset[int] = frozenset(),
+) -> float:  # fmt: skip
+    """Odds of a name of these forms, where `remainder_of` tells what structures without a name explain."""
+    monkeypatch.setattr(naming, "forms_of", lambda *_: forms)
+    monkeypatch.setattr(naming, "bends", lambda *_: forms.axes)
+    monkeypatch.setattr(naming, "bent_by_others", lambda *_: bent_by_others)
+    monkeypatch.setattr(naming, "remainder_of", remainder_of)
+    monkeypatch.setattr(naming, "everywhere", lambda *_: False)
+    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
+    family: Any = None
+    return naming.odds_of(one, bare, effect_id, family, SETTINGS)
+
+
 def held(monkeypatch: pytest.MonkeyPatch, own: float, in_place: float, left: float = 0.0, rows: int = 0) -> float:
     """What is held against `needed` for a name of own evidence, where structures in its place and left beside it have some."""
     term = SimpleNamespace(effect=SimpleNamespace(family=None, in_readings=False))
@@ -73,13 +89,8 @@ def held(monkeypatch: pytest.MonkeyPatch, own: float, in_place: float, left: flo
         remainder=SimpleNamespace(gained=left, parts=(), bad_rows=(None,) * rows),
     )  # fmt: skip
     bare: Any = SimpleNamespace(named=0.0, study=None, remainder=SimpleNamespace(gained=in_place))
-    monkeypatch.setattr(naming, "forms_of", lambda *_: NO_FORMS)
-    monkeypatch.setattr(naming, "remainder_of", lambda *_: SimpleNamespace(gained=in_place))
-    monkeypatch.setattr(naming, "bent_by_others", lambda *_: frozenset())
-    monkeypatch.setattr(naming, "everywhere", lambda *_: False)
-    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
-    family: Any = None
-    return naming.odds_of(one, bare, "joint_backlash", family, SETTINGS) - naming.needed(one, "joint_backlash", SETTINGS)
+    odds = odds_beside(monkeypatch, one, bare, NO_FORMS, lambda *_: SimpleNamespace(gained=in_place))
+    return odds - naming.needed(one, "joint_backlash", SETTINGS)
 
 
 def test_the_general_law_of_an_axis_is_a_rival_where_another_effect_bends_its_curve_already(
@@ -95,13 +106,7 @@ def test_the_general_law_of_an_axis_is_a_rival_where_another_effect_bends_its_cu
     term = SimpleNamespace(effect=SimpleNamespace(family=None, in_readings=False))
     one: Any = SimpleNamespace(named=50.0, study=SimpleNamespace(ready=None), term=lambda _: term, remainder=rest)
     bare: Any = SimpleNamespace(named=0.0, study=None, remainder=rest)
-    monkeypatch.setattr(naming, "forms_of", lambda *_: Forms(axes=frozenset({1, 3})))
-    monkeypatch.setattr(naming, "bent_by_others", lambda *_: frozenset({3}))
-    monkeypatch.setattr(naming, "remainder_of", remainder_of)
-    monkeypatch.setattr(naming, "everywhere", lambda *_: False)
-    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
-    family: Any = None
-    naming.odds_of(one, bare, "joint_backlash", family, SETTINGS)
+    odds_beside(monkeypatch, one, bare, Forms(axes=frozenset({1, 3})), remainder_of, bent_by_others=frozenset({3}))
     assert left_out and set(left_out) == {frozenset({1})}
 
 
@@ -119,13 +124,7 @@ def test_a_drift_most_of_which_has_another_form_is_no_thermal_drift(
     def remainder_of(study: object, family: object, parts: object, forms: Forms = NO_FORMS) -> SimpleNamespace:
         return SimpleNamespace(gained=0.0 if forms.drifts else own + left)
 
-    monkeypatch.setattr(naming, "forms_of", lambda *_: Forms(drifts=True))
-    monkeypatch.setattr(naming, "bent_by_others", lambda *_: frozenset())
-    monkeypatch.setattr(naming, "remainder_of", remainder_of)
-    monkeypatch.setattr(naming, "everywhere", lambda *_: False)
-    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
-    family: Any = None
-    odds = naming.odds_of(one, bare, "thermal_drift", family, SETTINGS)
+    odds = odds_beside(monkeypatch, one, bare, Forms(drifts=True), remainder_of, "thermal_drift")
     assert (odds > naming.needed(one, "thermal_drift", SETTINGS)) == named
 
 
@@ -164,12 +163,5 @@ def test_a_bearing_that_gives_way_is_no_less_likely_than_several_gears_that_bend
         in_place = study is bare.study
         return SimpleNamespace(gained=0.0 if not in_place else 50.0 if forms.tilts else 112.0)
 
-    monkeypatch.setattr(naming, "forms_of", lambda *_: Forms(axes=frozenset(axes)))
-    monkeypatch.setattr(naming, "bends", lambda *_: frozenset(axes))
-    monkeypatch.setattr(naming, "bent_by_others", lambda *_: frozenset())
-    monkeypatch.setattr(naming, "remainder_of", remainder_of)
-    monkeypatch.setattr(naming, "everywhere", lambda *_: False)
-    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
-    family: Any = None
-    odds = naming.odds_of(one, bare, "joint_stiffening", family, SETTINGS)
+    odds = odds_beside(monkeypatch, one, bare, Forms(axes=frozenset(axes)), remainder_of, "joint_stiffening")
     assert (odds > naming.needed(one, "joint_stiffening", SETTINGS)) == named
