@@ -9,4 +9,9 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 export FASTRTPS_DEFAULT_PROFILES_FILE=$_irec_root/config/fastdds_localhost.xml
 export ROS_LOG_DIR=${ROS_LOG_DIR:-$_irec_root/log/ros}
 export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 PYTHONUNBUFFERED=1
+# who wants no byte code beside the sources gets it elsewhere: without any, each process compiles its libraries, a second and more
+if [ -n "${PYTHONDONTWRITEBYTECODE:-}" ]; then
+  unset PYTHONDONTWRITEBYTECODE
+  export PYTHONPYCACHEPREFIX=${PYTHONPYCACHEPREFIX:-$_irec_root/.venv/bytecode}
+fi
 unset _irec_root
