@@ -318,14 +318,3 @@ def test_after_a_fault_activate_is_what_the_operator_can_ask_for(drive, watcher,
     drive.until(lambda: np.linalg.norm(drive.sent[-1]) > 5e-4, START, "offset after the fault")
     assert state() == State.PRIMARY_STATE_ACTIVE
     assert drive.largest_step <= STEP
-
-
-def test_a_bridge_without_a_cell_refuses_and_says_so(ros_domain, start_process, tmp_path):
-    bridge = start_process([sys.executable, "-m", "irec_correction.nodes.rsi_bridge"], name="refused")
-    assert bridge.wait(2 * START) == 2
-    assert "cell" in (tmp_path / "refused.log").read_text()
-
-
-def test_a_cycle_time_that_rsi_does_not_have_is_refused(drive, ros_domain, start_process, tmp_path):
-    assert start_bridge(start_process, drive, cycle_ms=8).wait(2 * START) == 2
-    assert "cycle_ms" in (tmp_path / "rsi_bridge.log").read_text()
