@@ -12,13 +12,16 @@ run=(python -m pytest -ra --durations=15 --timeout=300)
 [ $# -eq 0 ] || exec "${run[@]}" -p no:cacheprovider "$@"
 code=0
 processes=${TEST_PROCESSES:-2}
-"${run[@]}" -p no:cacheprovider -m "not ros and not long" -n "$processes" || code=$?
+"${run[@]}" -p no:cacheprovider -m "not ros and not long" -n "$processes" --dist worksteal || code=$?
 failed=$(mktemp -d)
 trap 'rm -rf "$failed"' EXIT
 
-# run tests of nodes: a mark expression, then options of pytest
+# run tests of nodes: a mark expression, then options of pytest. Files without such tests are not read, as that takes seconds;
+# those that last are begun first: one of them at the end would leave a core idle
 nodes() {
-  local part=("${run[@]}" -o "cache_dir=$failed/${1// /_}" -m "ros and not long and $1")
+  local lasting=(irec_calibration/test/nodes/test_{loop,check_driver,faults}_ros.py irec_sim/test/test_cell_node.py test/test_two_cells.py)
+  mapfile -t files < <(printf '%s\n' "${lasting[@]}"; grep -rlE 'mark\.ros\b' --include='test_*.py' irec_*/test test)
+  local part=("${run[@]}" -o "cache_dir=$failed/${1// /_}" -m "ros and not long and $1" "${files[@]}")
   "${part[@]}" "${@:2}" && return
   echo "irec: a test of nodes failed, see above; once more, by itself"
   if "${part[@]}" --last-failed --last-failed-no-failures none; then
@@ -27,6 +30,6 @@ nodes() {
     code=1
   fi
 }
-nodes "not alone" -n "$processes" --dist loadfile
+nodes "not alone" -n "$processes" --dist loadfile --no-loadscope-reorder
 nodes "alone"
 exit $code
