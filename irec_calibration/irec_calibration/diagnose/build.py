@@ -36,6 +36,7 @@ class Built:
         steps: the start and every model on the way, the last is the result; evidence: of the name that each step added.
         closest: the best name that was refused at the end, and why.
         rivals: added effect -> others that would do in its place, each with the odds against it in nats.
+        open: effects that can act on the session; refused: those fitted exactly on top of the final model, none of them named.
     """
 
     start: Explanation
@@ -48,6 +49,8 @@ class Built:
     closest: Explanation | None = None
     reason: str = ""
     rivals: dict[str, tuple[tuple[str, float], ...]] = field(default_factory=dict)
+    open: tuple[Option, ...] = ()
+    refused: tuple[Explanation, ...] = ()
 
     @property
     def final(self) -> Explanation:
@@ -64,10 +67,11 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
     singles: list[Explanation] = []
     steps, evidence, near = [start], dict[str, float](), dict[str, dict[str, Explanation]]()
     closest, reason = None, ""
+    tried: list[Explanation] = []
     while len(steps[-1].added) < settings.most_names:
         check()
         current = steps[-1]
-        tried = _step(start, current, found, family, trials if len(steps) == 1 else None, check, settings)
+        tried = step(start, current, found, family, trials if len(steps) == 1 else None, check, settings)
         singles = singles or tried
         taken = None
         for one in tried:
@@ -91,15 +95,19 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
             if any(set(s.ids) == set(less.ids) for s in steps):
                 break
             steps.append(less)
-    final, evidence = proven(start, steps[-1], family, settings)
+    final, evidence = proven(start, steps, family, settings)
+    gone = [i for i in steps[-1].ids if i not in final.ids]
     if final is not steps[-1]:
         closest, reason = steps[-1], "it is no stronger than the structure that no effect explains"
         steps = [s for s in steps if set(s.ids) < set(final.ids)] + [final]
-    rivals = rivals_of(start, steps[-1], near, found, family, check, settings)
-    return Built(start, family, trials, skipped, tuple(singles), tuple(steps), evidence, closest, reason, rivals)
+    rivals = rivals_of(start, steps[-1], near, gone, found, family, check, settings)
+    beyond = tuple(t for t in tried if set(t.ids[:-1]) == set(steps[-1].ids))
+    return Built(
+        start, family, trials, skipped, tuple(singles), tuple(steps), evidence, closest, reason, rivals, tuple(found), beyond
+    )
 
 
-def _step(
+def step(
     start: Explanation, current: Explanation, found: Sequence[Option], family: Family, trials: Sequence[Trial] | None,
     check: Check, settings: Settings,
 ) -> list[Explanation]:  # fmt: skip

@@ -120,9 +120,8 @@ def improve(
         rungs.append(_rung(one, effect, evidence, rungs[-1].model, assessment.parts if is_last else {}))
     if shown.without_form is not None:
         rungs.append(_rung(shown.after, "+".join(shown.form), shown.form_evidence, rungs[-1].model, assessment.parts))
-    if shown.with_stand_in is not None and assessment.built.closest is not None:
-        more = assessment.built.closest.named - added.named
-        rungs.append(replace(_rung(shown.with_stand_in, shown.stands_in, more, rungs[-1].model), named=False))
+    for extra in shown.stand_ins:
+        rungs.append(replace(_rung(extra.model, extra.effect_id, extra.evidence, rungs[-1].model), named=False))
     readings = assessment.readings
     if assessment.weight_wrong and readings is not None and READ_AT_REFERENCES.id not in rungs[-1].effects:
         term = next(c.term for c in before.candidates if c.effect == READ_AT_REFERENCES.id)

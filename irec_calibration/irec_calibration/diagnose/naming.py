@@ -6,6 +6,7 @@ Asked when an effect comes in, again of all others when one has come, and of the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -136,12 +137,28 @@ def pruned(start: Explanation, one: Explanation, family: Family, settings: Setti
     return one
 
 
-def proven(start: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[Explanation, dict[str, float]]:
-    """A model without names that nonparametric structure could feign, or that are too small beside the others; evidence of each.
+def proven(
+    start: Explanation, steps: Sequence[Explanation], family: Family, settings: Settings
+) -> tuple[Explanation, dict[str, float]]:
+    """The model with the most names that no structure could feign and that are not too small beside the others; evidence of each.
 
     A structure of unknown form can feign an effect that moves the marker alike, and so can a named one whose form is not
-    quite right.
+    quite right. Two names may be too weak only because the later does part of what the other does: then the model stands that
+    was there before.
+
+    Args:
+        steps: the models on the way, the last has all names.
     """
+    kept, evidence = _standing(start, steps[-1], family, settings)
+    for before in reversed(steps[:-1]):
+        if len(before.ids) > len(kept.ids):
+            more, odds = _standing(start, before, family, settings)
+            kept, evidence = (more, odds) if len(more.ids) > len(kept.ids) else (kept, evidence)
+    return kept, evidence
+
+
+def _standing(start: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[Explanation, dict[str, float]]:
+    """A model whose weakest name was taken out until all stand, and the evidence of each."""
     while one.added:
         left = feigned(one)
         everything = max(start.study.bench.posterior(start.study.base).chi2 - one.chi2, 1e-9)

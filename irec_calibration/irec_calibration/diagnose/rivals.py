@@ -17,8 +17,8 @@ Check = Callable[[], None]
 
 
 def rivals_of(
-    start: Explanation, final: Explanation, near: dict[str, dict[str, Explanation]], found: Sequence[Option], family: Family,
-    check: Check, settings: Settings,
+    start: Explanation, final: Explanation, near: dict[str, dict[str, Explanation]], gone: Sequence[str], found: Sequence[Option],
+    family: Family, check: Check, settings: Settings,
 ) -> dict[str, tuple[tuple[str, float], ...]]:  # fmt: skip
     """Which other effects would do in the place of each added one, everything refitted.
 
@@ -28,6 +28,7 @@ def rivals_of(
 
     Args:
         near: added effect -> effects that were about as good when it came in, each with its explanation then.
+        gone: effects that were taken in and are no longer.
 
     Returns:
         added effect -> others and the odds against each, nats; below `nats_to_prefer` the name is one of several.
@@ -38,7 +39,7 @@ def rivals_of(
         others: dict[str, Explanation | None] = {i: e for i, e in near.get(term.effect.id, {}).items() if i not in final.ids}
         # those of its family too, before which something else may have come in
         alike = [o.effect.id for o in found if o.effect.family is term.effect.family]
-        others |= {i: None for i in alike if i not in final.ids and i not in others}
+        others |= {i: None for i in (*alike, *gone) if i not in final.ids and i not in others}
         if not others:
             continue
         check()

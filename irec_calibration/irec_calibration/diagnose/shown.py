@@ -16,7 +16,7 @@ from ..session.data import Session
 from .assessment import Assessment
 from .held_out import Validated, validated
 from .settings import SETTINGS
-from .stand_in import stand_in
+from .stand_in import StandIn, stand_ins
 from .study import form_evidence, study_of
 
 
@@ -30,7 +30,7 @@ class Shown:
         form_evidence: log evidence for them, beside the effects that were added where these hide it.
         after: with every effect that was added, too; the best of the others where none was.
         without_form: `after` without the form, where that is better only beside the added effects; else None.
-        stands_in: id of an effect that predicts other poses but can't be named; with_stand_in: `after` with it, else None.
+        stand_ins: effects that predict other poses but can't be named, each with `after` and those before it.
     """
 
     asked: Validated
@@ -39,13 +39,12 @@ class Shown:
     completed: Validated | None
     after: Validated
     without_form: Validated | None = None
-    stands_in: str = ""
-    with_stand_in: Validated | None = None
+    stand_ins: tuple[StandIn, ...] = ()
 
     @property
     def best(self) -> Validated:
         """The model that predicts best."""
-        return self.with_stand_in or self.after
+        return self.stand_ins[-1].model if self.stand_ins else self.after
 
     @property
     def form_matters(self) -> bool:
@@ -63,9 +62,7 @@ def shown_of(session: Session, asked: Validated, assessment: Assessment, check: 
     shown = _named(session, asked, assessment, check)
     if not assessment.evidence:
         return shown
-    effect_id, one = stand_in(session, assessment.built, shown.after)
-    check()
-    return replace(shown, stands_in=effect_id, with_stand_in=one)
+    return replace(shown, stand_ins=stand_ins(session, assessment.built, shown.after, check))
 
 
 def _named(session: Session, asked: Validated, assessment: Assessment, check: Callable[[], None]) -> Shown:

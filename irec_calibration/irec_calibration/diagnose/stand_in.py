@@ -8,52 +8,87 @@ springs what they explain.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..effects import Cause, find_effect
 from ..identification.validation import gain
 from ..model import Term
 from ..session.data import Session
-from .build import Built
-from .explanation import implausible, in_one_pose
+from .build import Built, step
+from .explanation import Explanation, implausible, in_one_pose
 from .held_out import Validated, validated
 from .naming import needed
 from .parts import prune
 from .settings import SETTINGS, Settings
 
 
-def stand_in(session: Session, built: Built, after: Validated, settings: Settings = SETTINGS) -> tuple[str, Validated | None]:
-    """The effect that comes closest to what has no name, and the model with it; None where it does not help.
+@dataclass(frozen=True)
+class StandIn:
+    """An effect that predicts what has no name.
 
-    It needs of its own what a name does: evidence over its absence, values that can be, and an error that falls on held-out
+    Attributes:
+        effect_id: its id; evidence: log evidence of its own, over its absence; model: with it and all before it.
+    """
+
+    effect_id: str
+    evidence: float
+    model: Validated
+
+
+def stand_ins(
+    session: Session, built: Built, after: Validated, check: Callable[[], None], settings: Settings = SETTINGS
+) -> tuple[StandIn, ...]:
+    """The effects that stand in for what has no name, one on top of the other, each with the model that has it.
+
+    Each needs of its own what a name does: evidence over its absence, values that can be, and an error that falls on held-out
     poses. Only that nothing without a name explains as much is not asked. In loaded sessions; absolute ones have more that is
     neither named nor known to move the tool.
 
     Args:
-        after: the model without it, as people are shown it.
+        after: the model without them, as people are shown it; check: raises where the work was cancelled.
 
     Raises:
         SolveError: the session can't be used with this model.
     """
-    effect_id = _closest(built, settings)
-    if not effect_id or built.closest is None:
-        return "", None
-    pruned = prune(built.closest.study, (effect_id,)).study
-    term = next(t for t in pruned.terms if t.effect.id == effect_id)
-    one = validated(session, (*after.study.terms, Term(term.effect, term.estimates)))
-    mean, se, _ = gain(after.held_out, one.held_out)
-    helps = np.isfinite(mean) and mean > settings.held_out_sigmas * se
-    return (effect_id, one) if helps else ("", None)
+    out: list[StandIn] = []
+    if built.start.study.ready.kind != "loaded" or len(built.start.study.bench.poses) < settings.fewest_poses:
+        return ()
+    current, tried = built.final, built.refused
+    while current.remainder.structures and len(current.added) < settings.most_names:
+        tried = tried or step(built.start, current, built.open, built.family, None, check, settings)
+        found = _best(tried, current, out[-1].model if out else after, session, check, settings)
+        if found is None:
+            break
+        current, one = found
+        out.append(one)
+        tried = ()
+    return tuple(out)
 
 
-def _closest(built: Built, settings: Settings) -> str:
-    """The one effect by which the best name that was refused goes beyond what is named, where only its name is in doubt."""
-    one, final = built.closest, built.final
-    more = [i for i in one.ids if i not in final.ids] if one is not None else []
-    if one is None or len(more) != 1 or len(one.ids) != len(final.ids) + 1:
-        return ""
-    if find_effect(more[0]).cause not in (Cause.LOAD, Cause.STATE) or built.start.study.ready.kind != "loaded":
-        return ""
-    if len(built.start.study.bench.poses) < settings.fewest_poses or in_one_pose(one, more[0]) or implausible(one, more[0]):
-        return ""
-    return more[0] if one.named - final.named >= needed(one, more[0], settings) else ""
+def _best(
+    tried: Sequence[Explanation], current: Explanation, before: Validated, session: Session, check: Callable[[], None],
+    settings: Settings,
+) -> tuple[Explanation, StandIn] | None:  # fmt: skip
+    """The effect with the most evidence of its own of which only the name is in doubt, if it helps on held-out poses."""
+    could = [e for e in tried if _may(e, settings) and e.named - current.named >= needed(e, e.ids[-1], settings)]
+    for one in sorted(could, key=lambda e: -e.named):
+        check()
+        effect_id = one.ids[-1]
+        term = next(t for t in prune(one.study, (effect_id,)).study.terms if t.effect.id == effect_id)
+        made = validated(session, (*before.study.terms, Term(term.effect, term.estimates)))
+        mean, se, _ = gain(before.held_out, made.held_out)
+        confirmed = made.study.fit.rms < before.study.fit.rms  # a fit need not reach what the linear problem promises
+        if confirmed and np.isfinite(mean) and mean > settings.held_out_sigmas * se:
+            return one, StandIn(effect_id, one.named - current.named, made)
+    return None
+
+
+def _may(one: Explanation, settings: Settings) -> bool:
+    """Whether predictions have an effect, at values that can be, and more than one pose shows it."""
+    effect_id = one.ids[-1]
+    if find_effect(effect_id).cause not in (Cause.LOAD, Cause.STATE):
+        return False
+    return not in_one_pose(one, effect_id) and not implausible(one, effect_id)

@@ -140,7 +140,8 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     """As `prepare`, for an observation that exists already."""
     scene, terms = observation.scene, completed(terms, observation)
     own = _widths(terms, scene)
-    system = linearise(fit(terms, observation, prior_width=own).terms, observation)
+    first = fit(terms, observation, prior_width=own).terms
+    system = linearise(first, observation)
     owners = [terms[i].effect.id for i in system.owner]
     believed = NoisePrior(scale=1.0 / observation.whiten.level)
     bench = Bench(system.b, system.pose.astype(np.int64), believed)
@@ -156,7 +157,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
         narrow = _beside_softening(own, system.parameters, system.scale)
         block = replace(block, width=_softness(bench, block, follows) * narrow)
     width = block.width
-    result = fit(terms, observation, prior_width=width)
+    result = fit(first, observation, prior_width=width)
     system = linearise(result.terms, observation)
     ready = apply_wrench_effects(result.terms, scene)
     ready = replace(ready, elastic=elastic_response(result.terms, ready))

@@ -151,11 +151,12 @@ def _form(shown: Shown) -> list[str]:
 
 def _stands_in(shown: Shown) -> list[str]:
     """What an improved model has that is no diagnosis."""
-    if shown.with_stand_in is None:
+    if not shown.stand_ins:
         return []
-    before, after = shown.after.held_out.rms_m, shown.with_stand_in.held_out.rms_m
+    before, after = shown.after.held_out.rms_m, shown.best.held_out.rms_m
+    which = " and ".join(_label(s.effect_id) for s in shown.stand_ins)
     return [
-        f"The improved model has {_label(shown.stands_in)} to predict what has no name, which is no diagnosis: the error on"
+        f"The improved model has {which} to predict what has no name, which is no diagnosis: the error on"
         f" held-out poses is {length(after)} for {length(before)}."
     ]
 

@@ -22,6 +22,7 @@ from ..session.data import Session
 from ..typing import Array, Json
 from .live import ByDisplacement, LeftOut, LiveForm, Refused
 from .scene import Scene
+from .state import ElasticResponse
 from .traits import Ageing, Axes, Cause, Evidence, Family
 
 NOT_IN_PRODUCTION = ("time", "order", "step", "temperature")  # needs that a live correction can't meet in general
@@ -149,10 +150,13 @@ class Effect(ABC):
             out[:, :, i] = (self.displacement(scene, ahead) - self.displacement(scene, behind)) / (ahead[i] - behind[i])
         return out
 
-    def by_elastic(self, scene: Scene, theta: Array, columns: Array) -> Array | None:
-        """What the displacement changes by where the elastic displacement of the scene changes by columns, (n, 3, p), or None.
+    def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
+        """What the displacement changes by where the elastic response of the scene does, (n, 3, p), m; None: by next to nothing.
 
         Needed of effects that follow the elastic response with a large share, so that a joint fit with its springs converges.
+
+        Args:
+            change: of the response by p parameters of a spring, p is the last axis of each field.
         """
         return None
 

@@ -11,6 +11,7 @@ from ..typing import Array, IntArray
 from .base import Effect, Parameter
 from .live import ElasticLaw, LiveForm, Tick
 from .scene import Scene
+from .state import ElasticResponse
 from .traits import Family
 
 SAME_LOAD = 0.05  # without memory the clock starts anew where the elastic deflection changes by more than this share of itself
@@ -57,8 +58,8 @@ class Creep(Effect):
             return np.zeros((len(scene), 3))
         return self._crept(scene, scene.elastic.displacement, T, memory, spread)
 
-    def by_elastic(self, scene: Scene, theta: Array, columns: Array) -> Array:
-        return np.asarray(theta[0] * self._crept(scene, columns, *theta[1:]))
+    def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
+        return np.asarray(theta[0] * self._crept(scene, change.displacement, *theta[1:]))
 
     def _crept(self, scene: Scene, v: Array, T: float, memory: float, spread: float) -> Array:
         """What has crept of displacements v, (n, 3[, p]), under loads that have the elastic response of the scene."""

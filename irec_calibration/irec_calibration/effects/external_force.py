@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from .base import Effect, Parameter
 from .live import LiveForm, Pull, Tick
 from .scales import typical_reach
 from .scene import Scene
+from .state import ElasticResponse
 from .traits import Family
 
 AXES = ("x", "y", "z")
@@ -66,8 +68,19 @@ class ExternalForce(Effect):
         with_forearm = np.einsum("nij,ndj->nid", in_base, frame)
         return np.concatenate([in_base, in_tool, towards, *by_wrist, with_forearm, by_torque], axis=2)
 
+    def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
+        pull = [self.displacement(replace(scene, elastic=_unit(len(scene), part)), theta) for part in range(2)]
+        return np.asarray(np.einsum("nijp,nj->nip", change.compliance, np.concatenate(pull, axis=1)))
+
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Pull(theta, _wrist(scene), _forearm(scene))
+
+
+def _unit(rows: int, part: int) -> ElasticResponse:
+    """A response that gives back the force (part 0) or the torque (1) in tool0."""
+    compliance = np.zeros((rows, 3, 6))
+    compliance[:, :, 3 * part : 3 * part + 3] = np.eye(3)
+    return ElasticResponse(np.zeros((rows, 3)), np.zeros((rows, 3)), compliance)
 
 
 def _wrist(scene: Scene) -> list[int]:

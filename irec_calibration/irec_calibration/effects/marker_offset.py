@@ -8,6 +8,7 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .scene import Scene
+from .state import ElasticResponse
 from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
@@ -38,3 +39,9 @@ class MarkerOffset(Effect):
             return np.zeros((len(scene), 3, 3)) if scene.measured_from_station is None else np.array(arms)
         turned = np.stack([np.cross(scene.elastic.rotation, arms[:, :, a]) for a in range(3)], axis=2)
         return arms + turned
+
+    def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
+        if scene.measured_from_station is None:
+            return None
+        arm = (scene.kin.R_tool @ theta) * scene.moves_with_arm[:, None]
+        return np.cross(change.rotation, arm[:, :, None], axis=1)

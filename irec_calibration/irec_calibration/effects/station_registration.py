@@ -8,6 +8,7 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .scene import Scene
+from .state import ElasticResponse
 from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
@@ -40,7 +41,20 @@ class StationRegistration(Effect):
             return np.zeros((len(scene), 3, len(theta)))
         d = scene.noise_free_from_station()
         turned = np.stack([-np.cross(e, d) for e in np.eye(3)], axis=2)
-        known = [s for s in range(len(scene.stations)) if scene.instruments.station_known[s]]
+        known = _known(scene)
         if not known:
             return turned[:, :, :0]
         return np.concatenate([turned * (scene.station == s)[:, None, None] for s in known], axis=2)
+
+    def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
+        if scene.kind == "absolute" or scene.measured_from_station is None:
+            return None
+        turn = np.zeros((len(scene), 3))
+        for s, w in zip(_known(scene), theta.reshape(-1, 3), strict=True):
+            turn[scene.station == s] = w
+        return -np.cross(turn[:, :, None], scene.change(change.displacement), axis=1)
+
+
+def _known(scene: Scene) -> list[int]:
+    """Stations whose place is stated."""
+    return [s for s in range(len(scene.stations)) if scene.instruments.station_known[s]]

@@ -8,6 +8,7 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .scene import Scene
+from .state import ElasticResponse
 from .traits import Cause, Family
 
 
@@ -35,3 +36,8 @@ class TrackerScale(Effect):
             # the measured vector itself would let a fit with free geometry shrink robot, measurement and error together
             return scene.instruments.modelled_from_station[:, :, None]
         return scene.noise_free_from_station()[:, :, None]
+
+    def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
+        if scene.kind == "absolute" or scene.measured_from_station is None:
+            return None
+        return theta[0] * scene.change(change.displacement)

@@ -15,7 +15,7 @@ from ..effects.scene import Scene
 from ..effects.state import ElasticResponse
 from ..errors import ModelError
 from ..typing import Array, Json
-from .springs import displacement_at, is_kept, response_of
+from .springs import by_parameters, displacement_at, is_kept, response_of
 
 SIX_DOF = ("joint_torsion",)
 EIGHTEEN_DOF = ("joint_torsion", "link_bending")
@@ -238,12 +238,16 @@ def regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
             out.append(term.effect.regressor(ready, theta))
     springs = [i for i, t in enumerate(terms) if t.effect.elastic and t.effect.acts_on != "wrench"]
     plain = {i: out[i] for i in springs}
+    change: dict[int, ElasticResponse] = {}
     for term in terms:
         if not term.effect.needs_elastic:
             continue
         theta = term.theta(term.effect.parameters(scene))
-        for i in springs:
-            more = term.effect.by_elastic(ready, theta, plain[i]) if theta.any() else None
+        for i in springs if theta.any() and type(term.effect).by_elastic is not Effect.by_elastic else ():
+            if i not in change:
+                at = terms[i].theta(terms[i].effect.parameters(scene))
+                change[i] = by_parameters(terms[i].effect, at, ready, plain[i])
+            more = term.effect.by_elastic(ready, theta, change[i])
             if more is not None:
                 out[i] = out[i] + more
     return out

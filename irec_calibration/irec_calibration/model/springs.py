@@ -66,17 +66,36 @@ def response_of(effect: Effect, theta: Array, scene: Scene) -> ElasticResponse:
     return ElasticResponse(u, _rotation(by_place), by_wrench)
 
 
+def by_parameters(effect: Effect, theta: Array, scene: Scene, columns: Array) -> ElasticResponse:
+    """Derivative of what effects see of a spring by its parameters at their values, the last axis of each field.
+
+    Args:
+        columns: derivative of its displacement, (n, 3, p); all that is known of a spring that is not kept.
+    """
+    if not is_kept(effect, scene):
+        n, p = len(scene), columns.shape[2]
+        return ElasticResponse(columns, np.zeros((n, 3, p)), np.zeros((n, 3, 6, p)))
+    known = _kept(effect, theta, scene).columns
+    u = known.at_rest + np.einsum("nijkp,nk->nijp", known.by_wrench, _wrench(scene))
+    return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), known.by_wrench[:, :, 0])
+
+
 def answer_of(effect: Effect, theta: Array, scene: Scene) -> Answer:
     """What a spring that is kept answers at values of its parameters, whatever the wrench of the scene."""
-    known = scene.view.kept.get(effect.id)
-    if not isinstance(known, _Kept) or not known.fits(effect, scene):
-        columns = _asked(lambda s: effect.regressor(s, np.zeros_like(theta)), scene)
-        known = scene.view.kept[effect.id] = _Kept(effect, scene.rows, scene.gravity, columns, {})
+    known = _kept(effect, theta, scene)
     key = theta.tobytes()
     if key not in known.values:
         known.values.clear()  # a fit asks for the same values under many wrenches, then for others
         known.values[key] = known.columns.at(theta)
     return known.values[key]
+
+
+def _kept(effect: Effect, theta: Array, scene: Scene) -> _Kept:
+    known = scene.view.kept.get(effect.id)
+    if not isinstance(known, _Kept) or not known.fits(effect, scene):
+        columns = _asked(lambda s: effect.regressor(s, np.zeros_like(theta)), scene)
+        known = scene.view.kept[effect.id] = _Kept(effect, scene.rows, scene.gravity, columns, {})
+    return known
 
 
 def displacement_at(effect: Effect, theta: Array, scene: Scene) -> Array:

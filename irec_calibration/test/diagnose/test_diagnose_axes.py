@@ -15,6 +15,7 @@ from irec_calibration.diagnose.parts import prune
 from irec_calibration.diagnose.study import prepare
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.scene import Scene
+from irec_calibration.effects.user import effect_from_text
 from irec_calibration.identification.identify import identify
 from irec_calibration.identification.provenance import model_of
 from irec_calibration.model import EIGHTEEN_DOF, blank_model
@@ -196,6 +197,13 @@ def test_an_effect_without_axes_has_no_parts() -> None:
 def test_an_effect_that_another_one_makes_needless_is_not_named_beside_it() -> None:
     # play fits a gear that is soft near zero torque before the gear's own effect is tried at the right softness
     assert diagnosis(axis_1_is_soft_near_zero, 5).verdict.effects == ("joint_stiffening",)
+
+
+@pytest.mark.slow
+def test_a_formula_that_somebody_registered_does_not_take_a_cause_its_name() -> None:
+    # it mends the form of stiffening a little, and then neither of both is stronger than structure of unknown form
+    effect_from_text("axis 1: slope * tau**3")
+    assert diagnose(session(axis_1_is_soft_near_zero, 5)).verdict.effects == ("joint_stiffening",)
 
 
 @pytest.mark.slow

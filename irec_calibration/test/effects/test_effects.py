@@ -48,6 +48,28 @@ def _theta(effect, scene):
     ])  # fmt: skip
 
 
+FOLLOWS_SPRINGS = [cls.id for cls in CATALOGUE if cls.needs_elastic]
+
+
+@pytest.mark.parametrize("effect_id", FOLLOWS_SPRINGS)
+def test_what_follows_the_springs_is_part_of_the_derivative_by_their_parameters(effect_id, scene):
+    springs = ("joint_torsion", "link_bending", "tool_compliance")
+    terms = []
+    for effect in map(find_effect, (*springs, effect_id)):
+        own = zip(effect.parameters(scene), _theta(effect, scene), strict=True)
+        terms.append(Term(effect, {p.name: Estimate(v) for p, v in own}))
+    blocks = regressors(terms, scene)
+    for k in range(len(springs)):
+        for j, p in enumerate(terms[k].effect.parameters(scene)):
+            sides = []
+            for step in (1e-3 * p.scale, -1e-3 * p.scale):
+                at = terms[k].estimates | {p.name: Estimate(terms[k].estimates[p.name].value + step)}
+                moved = [*terms[:k], replace(terms[k], estimates=at), *terms[k + 1 :]]
+                sides.append(scene.change(total_displacement(moved, scene)))
+            slope = (sides[0] - sides[1]) / (2e-3 * p.scale)
+            assert np.abs(scene.change(blocks[k][:, :, j]) - slope).max() < 1e-3 * np.abs(slope).max(), (springs[k], p.name)
+
+
 @pytest.mark.parametrize("effect_id", IDS)
 def test_the_regressor_is_the_derivative_of_the_displacement(effect_id, scene):
     effect = find_effect(effect_id)
