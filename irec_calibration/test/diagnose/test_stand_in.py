@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,11 @@ import pytest
 import synthetic
 from irec_calibration.diagnose import Ladder, improve
 from irec_calibration.effects.of_session import scene_of
+from irec_calibration.effects.scene import Scene
 from irec_calibration.identification.observe import observe
 from irec_calibration.model import Model
 from irec_calibration.session import Session
+from irec_calibration.typing import Array
 from test_diagnose import play_in_the_bearing_of_axis_5, session
 
 
@@ -44,11 +47,21 @@ def test_a_model_with_what_stands_in_predicts_other_poses_better(ladder):
     assert missed(ladder.rungs[-1].model) < 0.95 * missed(ladder.rungs[-2].model)
 
 
-def read_with_gain(loss_per_kilonewton: float) -> Session:
-    """A clean session whose force sensor reads each component the lower the larger it is."""
-    clean = session(None)
-    force = clean.force_in_tool
-    return replace(clean, force_in_tool=force * (1.0 - loss_per_kilonewton * np.abs(force) / 1000.0))
+def read_with_gain(loss_per_kilonewton: float, hidden: Callable[[Scene], Array] | None = None) -> Session:
+    """A session whose force sensor reads each component the lower the larger it is."""
+    read = session(hidden)
+    force = read.force_in_tool
+    return replace(read, force_in_tool=force * (1.0 - loss_per_kilonewton * np.abs(force) / 1000.0))
+
+
+def test_each_of_several_that_stand_in_is_a_rung_and_lowers_the_error():
+    found = improve(read_with_gain(0.2, play_in_the_bearing_of_axis_5))
+    unnamed = [r for r in found.rungs if not r.named]
+    assert found.before.verdict.effects == ()
+    assert [r.added for r in unnamed] == ["joint_backlash", "sensor_gain"]
+    assert unnamed[1].effects == (*unnamed[0].effects, "sensor_gain")
+    assert found.rungs[-3].cv_rms_m > unnamed[0].cv_rms_m > unnamed[1].cv_rms_m
+    assert "has joint backlash and force sensor gain to predict" in found.before.verdict.text
 
 
 def test_a_force_sensor_whose_gain_falls_with_the_load_is_not_called_one_with_different_gains():

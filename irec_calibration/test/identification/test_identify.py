@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from irec_calibration.diagnose import validated
@@ -84,3 +86,13 @@ def test_a_session_without_loaded_rows_is_refused():
     data = session(3)
     with pytest.raises(SolveError, match="no loaded row"):
         identify(data.select(data.load_case == 0), blank_model(SIX_DOF))
+
+
+def test_a_fit_that_looks_for_the_marker_too_leaves_no_more_than_one_that_knows_its_place():
+    known = session(20, seed=3)
+    beside = np.array(known.markers[0].xyz) - [0.15, 0.02, 0.06]
+    elsewhere = replace(known, markers=(replace(known.markers[0], xyz=tuple(beside)),))
+    told = identify(known, blank_model(EIGHTEEN_DOF))
+    found = identify(elsewhere, blank_model([*EIGHTEEN_DOF, "marker_offset"]))
+    assert found.converged
+    assert found.chi2 < told.chi2
