@@ -56,11 +56,11 @@ def read_with_gain(loss_per_kilonewton: float, hidden: Callable[[Scene], Array] 
 
 def test_each_of_several_that_stand_in_is_a_rung_and_lowers_the_error():
     found = improve(read_with_gain(0.2, play_in_the_bearing_of_axis_5))
-    unnamed = [r for r in found.rungs if not r.named]
+    standing_in = [r for r in found.rungs if not r.named]
     assert found.before.verdict.effects == ()
-    assert [r.added for r in unnamed] == ["joint_backlash", "sensor_gain"]
-    assert unnamed[1].effects == (*unnamed[0].effects, "sensor_gain")
-    assert found.rungs[-3].cv_rms_m > unnamed[0].cv_rms_m > unnamed[1].cv_rms_m
+    assert [r.added for r in standing_in] == ["joint_backlash", "sensor_gain"]
+    assert standing_in[1].effects == (*standing_in[0].effects, "sensor_gain")
+    assert found.rungs[-3].cv_rms_m > standing_in[0].cv_rms_m > standing_in[1].cv_rms_m
     assert "has joint backlash and force sensor gain to predict" in found.before.verdict.text
 
 
