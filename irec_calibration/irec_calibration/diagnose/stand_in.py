@@ -56,7 +56,8 @@ def stand_ins(
     out: list[StandIn] = []
     if built.start.study.ready.kind != "loaded" or len(built.start.study.bench.poses) < settings.fewest_poses:
         return ()
-    current, tried = built.final, built.refused
+    current = built.final
+    tried: Sequence[Explanation] = built.refused
     while current.remainder.structures and len(current.added) < settings.most_names:
         tried = tried or step(built.start, current, built.open, built.family, None, check, settings)
         found = _best(tried, current, out[-1].model if out else after, session, check, settings)
