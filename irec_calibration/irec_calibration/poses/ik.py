@@ -7,6 +7,7 @@ The chain is read once from the robot (Pinocchio) at zero joint angles; from the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,7 @@ _NEARBY_STEPS = 15  # from joint angles that are near the solution
 _LARGEST_STEP = 0.35  # rad (or m) per iteration and joint
 _ANGLE_WEIGHT = 0.5  # m per rad: what an error of direction counts against one of position
 _CONVERGED = 1e-9  # m (or weighted rad)
+_EYE = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,21 @@ class Chain:
         zero = robot.kinematics(np.zeros((1, robot.n_joints)))
         return cls(zero.axis[0], zero.origin[0], zero.R_tool[0], zero.p_tcp[0], zero.is_prismatic.astype(bool))
 
+    @cached_property
+    def _turning(self) -> tuple[Array, Array]:
+        """The cross-product matrix of each axis and its square, (k, 3, 3)."""
+        x, y, z = self.axis.T
+        none = np.zeros_like(x)
+        K = np.array([[none, -z, y], [z, none, -x], [-y, x, none]]).transpose(2, 0, 1)
+        return K, K @ K
+
     def forward(self, q: Array) -> tuple[Array, Array, Array]:
         """tool0 and Jacobian for joints q (n, k): p (n, 3) m, R (n, 3, 3), J (n, 6, k), linear part first, in base_link."""
         n, k = q.shape
-        R, t = np.broadcast_to(np.eye(3), (n, 3, 3)), np.zeros((n, 3))
+        R, t = np.broadcast_to(_EYE, (n, 3, 3)), np.zeros((n, 3))
+        K, KK = self._turning
+        turns = _EYE + np.sin(q)[..., None, None] * K + (1 - np.cos(q))[..., None, None] * KK
+        shifts = (_EYE - turns) @ self.origin[..., None]
         axes, origins = np.empty((n, k, 3)), np.empty((n, k, 3))
         for i in range(k):
             axes[:, i] = R @ self.axis[i]
@@ -48,20 +61,12 @@ class Chain:
             if self.is_prismatic[i]:
                 t = t + axes[:, i] * q[:, i, None]
             else:
-                turn = _rotation(self.axis[i], q[:, i])
-                t = t + np.einsum("nij,njk,k->ni", R, np.eye(3) - turn, self.origin[i])
-                R = R @ turn
+                t = t + (R @ shifts[:, i])[..., 0]
+                R = R @ turns[:, i]
         p = R @ self.p_tool + t
         linear = np.where(self.is_prismatic[:, None], axes, np.cross(axes, p[:, None, :] - origins))
         angular = np.where(self.is_prismatic[:, None], 0.0, axes)
         return p, R @ self.R_tool, np.concatenate([linear, angular], axis=2).swapaxes(1, 2)
-
-
-def _rotation(axis: Array, angle: Array) -> Array:
-    """Rotations about one fixed unit axis, (n, 3, 3)."""
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle)[:, None, None] * K + (1 - np.cos(angle))[:, None, None] * (K @ K)
 
 
 def solve_tool_axis(

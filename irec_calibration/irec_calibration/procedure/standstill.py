@@ -17,6 +17,7 @@ from .settings import Settling
 
 STAND_TIME = 0.05  # s
 STAND_MOVE = 2e-4  # rad or m in that time
+DISORDER = 0.5  # s by which the stamp of a reading may be older than that of one before it
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,13 @@ class Streams:
 
 
 def _rows(stream: deque, begin: float, end: float = np.inf) -> Array:  # type: ignore[type-arg]
-    return np.array([item for item in stream if begin < item[0] <= end], dtype=float)
+    rows = []
+    for item in reversed(stream):  # several times a cycle: not through all that is kept
+        if item[0] <= begin - DISORDER:
+            break
+        if begin < item[0] <= end:
+            rows.append(item)
+    return np.array(rows[::-1], dtype=float)
 
 
 def drift(samples: Array) -> Array:

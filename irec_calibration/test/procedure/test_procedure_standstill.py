@@ -107,3 +107,15 @@ def test_a_clock_set_back_empties_the_streams() -> None:
     streams = filled(20.0)
     streams.add_tcp(0.01, 0.0, 0.0, 0.0)
     assert streams.newest()["TCP"] == 0.01
+
+
+def test_a_mean_has_the_readings_of_its_time_whatever_came_between_them() -> None:
+    streams = Streams(horizon_s=5.0)
+    for k in range(1000):
+        streams.add_wrench(0.004 * k, (1.0 if k < 990 else 3.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    streams.add_wrench(3.8, (99.0,) * 6)  # a reading that comes late: of another time
+    streams.add_wrench(3.998, (3.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    streams.add_wrench(3.97, (14.0, 0.0, 0.0, 0.0, 0.0, 0.0))  # late too, of the time asked for
+    streams.add_wrench(4.0, (3.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    mean = streams.mean_force(0.0, 0.041)  # from 3.960 on: ten of the first, and three more
+    assert mean is not None and mean[0] == pytest.approx((12 * 3.0 + 14.0) / 13)
