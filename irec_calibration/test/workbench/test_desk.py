@@ -235,8 +235,10 @@ def test_a_long_computation_can_be_cancelled_and_the_worker_works_on(hidden_sess
         worker = Worker()
         try:
             first = await worker.call(Desk.start, str(hidden_session), "", str(tmp_path))
-            task = asyncio.create_task(worker.call(Desk.diagnosis, str(hidden_session), first.model, progress=quiet))
-            await asyncio.sleep(0.5)
+            begun = asyncio.Event()
+            computed = worker.call(Desk.diagnosis, str(hidden_session), first.model, progress=lambda share, what: begun.set())
+            task = asyncio.create_task(computed)
+            await asyncio.wait_for(begun.wait(), 60.0)
             worker.cancel()
             with pytest.raises(Cancelled):
                 await asyncio.wait_for(task, 30.0)
