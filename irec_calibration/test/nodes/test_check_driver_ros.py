@@ -45,7 +45,7 @@ def node(module: str, *arguments: str) -> list[str]:
 
 
 def test_the_simulated_cell_passes_every_level(ros_domain: int, start_process: Start, tmp_path: Path) -> None:
-    start_process(node("irec_sim.nodes.cell_node", "-p", "speed_factor:=1.0", "-p", "max_lead:=0.1"), name="cell")
+    start_process(node("irec_sim.nodes.cell_node", "-p", "speed_factor:=3.0", "-p", "max_lead:=0.1"), name="cell")
     passes_every_level(tmp_path)
 
 

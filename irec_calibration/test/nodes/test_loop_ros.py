@@ -208,7 +208,7 @@ def test_a_recalibration_puts_a_better_model_in_force_and_keeps_the_old_one(
     old = store.put_in_force(store.add(tmp_path / "old", "recalibrated", "M. Muster").calibration, "M. Muster")
     arguments = {"cell": tmp_path / "cell.yaml", "calibration_folder": tmp_path / "cal"}
     start_process(node("irec_calibration.nodes.calibration_node", **arguments), name="calibration")
-    correction = {"cell": CELL, "autostart": "true", "use_sim_time": "true"}
+    correction = {"cell": CELL, "autostart": "true", "use_sim_time": "true", "rate": 50.0}  # it only has to take the model
     start_process(node("irec_correction.nodes.correction_node", **correction), name="correction")
     answer = operator.call(Recalibrate, "irec/recalibrate", operator_name="M. Muster", poses_path=str(four))
     assert answer.success and answer.activated, answer.verdict
