@@ -83,8 +83,14 @@ def test_the_papers_own_correction_does_on_the_hard_plant_what_it_did_on_the_rea
     cell: Calibrated = request.getfixturevalue(name)
     controller = corrected(cell.case, Job("18dof", COURSES[name], str(cell.case.out / "model_18dof.yaml")), cell.ways)
     tolerance = read_cell(cell.case.cell_path).tolerance
-    before, after = (figures(d, tolerance) for d in (cell.uncorrected, drive(cell.sim, cell.hard, cell.ways, controller)))
+    driven = drive(cell.sim, cell.hard, cell.ways, controller)
+    before, after = (figures(d, tolerance) for d in (cell.uncorrected, driven))
     assert outside_bands(name, [before], [after]) == []
+    ends = cell.ways.driving.sum(axis=0)
+    assert len(set(ends)) > 1
+    for i, end in enumerate(ends):  # an offset follows its course to the end, and stands from then on
+        assert np.ptp(driven.sent[end - 5 : end, i], axis=0).max() > 0.0
+        assert np.all(driven.sent[end:, i] == driven.sent[end - 1, i])
     assert controller.told()["active_share"] > 0.95  # the correction was in force, and no watchdog took it out
     assert controller.told()["findings"] == 0
 
@@ -96,6 +102,8 @@ def test_a_band_is_judged_on_the_mean_of_draws_and_its_uncertainty() -> None:
     assert outside.outside and "mean of 5 draws, 54.9 to 61.9" in outside.told
     assert replace(within, values=(63.9,)).outside  # one draw has no uncertainty
     assert not replace(within, values=(64.1,)).outside
+    assert replace(within, values=(64.1,)).short == "64.1 %" and within.short == "62.6 +- 2.9 %"
+    assert replace(within, values=(64.11, 64.13)).short == "64.1 +- less than 0.1 %"  # five draws alike are no certainty
 
 
 def test_what_courses_leave_alike_is_told_from_the_others_and_not_from_the_course_itself() -> None:

@@ -38,8 +38,16 @@ class Corrected:
         states: ticks spent in each state; findings: by what the watchdog found; limited: ticks with a limit active.
     """
 
-    def __init__(self, cell: Cell, setup: Setup, rows: int) -> None:
-        """Read and check the model as correction_node does. Raises IrecError."""
+    def __init__(self, cell: Cell, setup: Setup, until: Array) -> None:
+        """Read and check the model as correction_node does.
+
+        Args:
+            until: s, when each course ends, (rows,); from then on its offset stands.
+
+        Raises:
+            IrecError: the model is refused.
+        """
+        rows = len(until)
         settings = replace(setup.settings, need_envelope=True)
         mounted = Mounted(cell.robot, cell.serial, "", GRAVITY, cell.payload, settings.period)
         checked = read_checked(setup.model, mounted)
@@ -50,6 +58,7 @@ class Corrected:
             chain.put_in_force(checked.model, 0.0, Deflection(checked.model, cell.robot, GRAVITY, cell.payload))
             self.chains.append(chain)
         self.states: Counter[State] = Counter()
+        self._until, self._out = until, np.zeros((rows, 3))
         self._started = False
         self._zeroed, self._bias = setup.zeroed, np.zeros((rows, 6))
 
@@ -60,18 +69,19 @@ class Corrected:
 
     def step(self, now: float, wrench: Array, q: Array, rail: Array) -> Array:
         """As `irec_sim.production.runner.Controller`."""
+        under_way = np.flatnonzero(self._until > now)
         now += 10.0
         wrench = wrench - self._bias
         if not self._started:
             self._begin(now, wrench, q, rail)
-        out = np.empty((len(self.chains), 3))
-        for i, chain in enumerate(self.chains):
+        for i in under_way:
+            chain = self.chains[i]
             chain.take_joints(now, now, q[i], float(rail[i]))
             chain.take_wrench(now, now, "", wrench[i])
             tick = chain.tick(now)
-            out[i] = tick.translation
+            self._out[i] = tick.translation
             self.states[tick.state] += 1
-        return out
+        return self._out.copy()
 
     def take_links(self, now: float, windup: Array) -> None:
         """As `irec_sim.production.runner.ReadsLinks`; chains without secondary encoders don't look."""

@@ -29,7 +29,7 @@ from irec_correction.preview import ForceProfile, Preview
 from irec_sim.cellfile import read_cell as read_sim_cell
 from irec_sim.production.hard import Hard, read_hard, without
 from irec_sim.production.runner import Drive, Oracle, drive
-from irec_sim.production.ways import Ways, make_ways
+from irec_sim.production.ways import PERIOD, Ways, make_ways
 
 from .corrected import Corrected, Setup
 
@@ -193,7 +193,7 @@ def corrected(case: Case, job: Job, ways: Ways) -> Corrected:
         table = read_taps(job.filter_file, cell.robot.joint_names)
         filters = replace(filters, posture_taps=table.taps.tolist(), postures=table.postures.tolist())
     settings = CorrectionSettings(lead=job.lead, lead_limit=3e-4, limits=limits_of(case, job.brisk))
-    made = Corrected(cell, Setup(Path(str(job.model)), settings, filters, job.zeroed), len(job.rows))
+    made = Corrected(cell, Setup(Path(str(job.model)), settings, filters, job.zeroed), PERIOD * ways.driving.sum(axis=0))
     profiles = np.load(job.profiles) if job.profiles else None
     for i, chain in enumerate(made.chains):
         if job.links:

@@ -77,9 +77,10 @@ def section(left: Left, before: Figures) -> Section:
     ]
     header = ["", "mean [um]", "maximum [um]", "of the mean without correction", "of the maximum"]
     text = [
-        "The last row of the ladder once more: freed of the noise of the tracker that judges it, then driven without the part of "
-        "the process force that differs from course to course, with the same model, profile and filter. What goes is what each "
-        "costs. The unsteady force is read some 40 ms before an offset can answer it, and no filter foresees all of it.",
+        "The last row of the ladder once more, in its first draw: freed of the noise of the tracker that judges it, then driven "
+        "without the part of the process force that differs from course to course, with the same model, profile and filter. "
+        "What goes is what each costs. The unsteady force is read some 40 ms before an offset can answer it, and no filter "
+        "foresees all of it.",
         "What comes again: less what the other courses leave in the mean at the same time after the begin of contact and before "
         f"the end, mean and maximum would be {1e3 * left.own.mean:.1f} and {1e3 * left.own.max:.0f} um in place of "
         f"{1e3 * left.measured.mean:.1f} and {1e3 * left.measured.max:.0f} um. That is what an offset could gain that is learnt "

@@ -3,10 +3,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
+import re
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from multiprocessing import get_context
 
 import numpy as np
+from demo_parts.processes import die_with_parent
 from irec_calibration.cell import Cell, read_cell
 from irec_calibration.codec import Codec, pose_data, run_codec
 from irec_calibration.identification.observe import observe
@@ -37,19 +43,21 @@ CHARTS = {
     "model": Chart("9", "18 against 6 degrees of freedom", "18 DOF leave less than 6 DOF"),
     "load-cases": Chart("10", "five load cases against the normal one alone", "five load cases leave less than the normal one"),
 }
+STATED = "Dashed: what the noise would leave that the session states of its instruments (data sheets); readings may scatter less."
 
 
-def numbered(case: Case) -> list[Section]:
-    """Sections of the report."""
-    session = case.out / "session"
-    sections = [_pressing(case, session, "8(g)" if case.name == "afp" else "12")]
+def numbered(case: Case, processes: int = 1) -> list[Section]:
+    """Sections of the report, in the order of their numbers."""
+    pressing = partial(_pressing, case, "8(g)" if case.name == "afp" else "12")
+    tasks: list[Callable[[], list[Section]]] = [partial(_charts, case), pressing]
     if case.name == "afp":
-        sections.insert(0, _poses(case))
-    sections += [_chart(case, session, name) for name in CHARTS]
-    return sections
+        tasks.append(partial(_poses, case))
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=die_with_parent) as pool:
+        drawn = [future.result() for future in [pool.submit(task) for task in tasks]]
+    return sorted(chain(*drawn), key=lambda section: int("".join(re.findall(r"\d+", section.heading)[:1])))
 
 
-def _poses(case: Case) -> Section:
+def _poses(case: Case) -> list[Section]:
     """Fig. 3: the pool, the poses of the cell (COVER) and as many by IOOPS."""
     cell = read_cell(case.cell_path)
     planned = read_poses(cell.poses_path, cell.serial, cell.robot.sha256).poses
@@ -67,7 +75,7 @@ def _poses(case: Case) -> Section:
     path = save(figure, case.out / "fig_3.png")
     apart = {n: _apart(pool, points) for n, points in (("COVER", chosen), ("IOOPS", pool[plan.chosen]))}
     text = "Farthest pose of the pool from a chosen one: " + ", ".join(f"{n} {1e3 * d:.0f} mm" for n, d in apart.items())
-    return Section("Fig. 3", [text + " (paper: 175 mm was asked of COVER)."], figures=[Figure(path, "As Fig. 3.")])
+    return [Section("Fig. 3", [text + " (paper: 175 mm was asked of COVER)."], figures=[Figure(path, "As Fig. 3.")])]
 
 
 def _in_cell(cell: Cell, q: np.ndarray, rail: float) -> np.ndarray:
@@ -79,43 +87,45 @@ def _apart(pool: np.ndarray, points: np.ndarray) -> float:
     return float(np.linalg.norm(pool[:, None] - points[None], axis=2).min(axis=1).max())
 
 
-def _pressing(case: Case, session: Path, number: str) -> Section:
+def _pressing(case: Case, number: str) -> list[Section]:
     """Fig. 8g, and what belongs to Fig. 12: measured deflection and what the models leave, row by row."""
-    observation = observe(read_session(session))
+    observation = observe(read_session(case.out / "session"))
     plt = pyplot()
     figure, ax = plt.subplots(figsize=(10, 3.8), layout="constrained")
     row = np.arange(1, len(observation.y) + 1)
     ax.semilogy(row, 1e3 * np.linalg.norm(observation.y, axis=1), color=GREY, lw=0.9, label="measured deflection")
-    for name, colour, dashes in (("6dof", RED, ":"), ("18dof", BLUE, "-"), ("improved", GREEN, "--")):
+    for name, called, colour, dashes in (
+        ("6dof", "6 DOF", RED, ":"), ("18dof", "18 DOF", BLUE, "-"), ("improved", "improved", GREEN, "--"),
+    ):  # fmt: skip
         left = 1e3 * np.linalg.norm(residual_of(load_model(case.out / f"model_{name}.yaml"), observation), axis=1)
-        text = f"left by {name}: mean {left.mean():.3f}, max {left.max():.3f} mm"
+        text = f"left by {called}: mean {left.mean():.3f}, max {left.max():.3f} mm"
         ax.semilogy(row, left, color=colour, ls=dashes, lw=0.9, label=text)
     ax.set(xlabel="row (pose by pose, load case by load case)", ylabel="norm [mm]")
     figure.legend(loc="outside lower center", ncols=2, fontsize=8)
     path = save(figure, case.out / f"fig_{number.split('(')[0]}.png")
     caption = "Deflections of the calibration session and what the models leave of them (rows that were fitted)."
-    return Section(f"Fig. {number}", figures=[Figure(path, caption)])
+    return [Section(f"Fig. {number}", figures=[Figure(path, caption)])]
 
 
-def _chart(case: Case, session: Path, name: str) -> Section:
-    chart = CHARTS[name]
+def _charts(case: Case) -> list[Section]:
+    """Comparisons by CODEC, each of the paper's 18 DOF, all load cases and COVER with one other choice."""
+    read = read_session(case.out / "session")
+    eighteen = pose_data(read, blank_model(EIGHTEEN_DOF))
+    first = run_codec(eighteen, method="cover")
+    others = {
+        "pose-search": ("COVER", run_codec(eighteen, method="ioops", label="IOOPS")),
+        "model": ("18 DOF", run_codec(pose_data(read, blank_model(SIX_DOF)), label="6 DOF")),
+        "load-cases": ("all load cases", run_codec(pose_data(read, blank_model(EIGHTEEN_DOF), [1]), label="normal only")),
+    }
+    return [_chart(case, CHARTS[name], replace(first, label=label), other) for name, (label, other) in others.items()]
+
+
+def _chart(case: Case, chart: Chart, first: Codec, second: Codec) -> Section:
     path = case.out / f"fig_{chart.number}.png"
-    first, second = _codecs(session, name)
     save_chart([first, second], path, f"{case.name}, {chart.what}")
     text = [_told(first, second, chart)]
     title = f"Fig. {chart.number}" if case.name == "afp" else f"As Fig. {chart.number}, for this cell"
-    return Section(title, text, figures=[Figure(path, f"Error on poses that were not fitted: {chart.what}.")])
-
-
-def _codecs(session: Path, name: str) -> tuple[Codec, Codec]:
-    read = read_session(session)
-    eighteen = pose_data(read, blank_model(EIGHTEEN_DOF))
-    if name == "pose-search":
-        return run_codec(eighteen, method="cover", label="COVER"), run_codec(eighteen, method="ioops", label="IOOPS")
-    both = run_codec(eighteen, label="18 DOF" if name == "model" else "all load cases")
-    if name == "model":
-        return both, run_codec(pose_data(read, blank_model(SIX_DOF)), label="6 DOF")
-    return both, run_codec(pose_data(read, blank_model(EIGHTEEN_DOF), [1]), label="normal only")
+    return Section(title, text, figures=[Figure(path, f"Error on poses that were not fitted: {chart.what}. {STATED}")])
 
 
 def _told(first: Codec, second: Codec, chart: Chart) -> str:

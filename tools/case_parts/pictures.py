@@ -113,12 +113,12 @@ def learned(told: dict[str, Any], path: Path) -> Path:
         rest = missed(told[key].taps, told[key].rate, responses, f)
         ax.plot(f, rest, color=colour, ls="-" if key == "plain" else "--", label=name)
     ax.plot(f, missed(np.array([1.0]), told["plain"].rate, responses, f), color=GREY, ls=":", label="no filter")
-    ax.set(xlabel="frequency [Hz]", ylabel="deviation left per static deflection", title="Designed filter", ylim=(0.0, None))
+    ax.set(xlabel="frequency [Hz]", ylabel="deviation left, 1 = static", title="Designed filter", ylim=(0.0, None))
     ax.legend(fontsize=8)
     ax = axes[1, 1]
     for s, colour in zip(told["shaken"], (BLUE, ORANGE, GREEN), strict=False):
         ax.semilogy(s.response.frequency, np.abs(s.response.to_force), color=colour, lw=0.9, label=f"{s.where}, force")
         ax.semilogy(s.response.frequency, np.abs(s.response.to_offset), color=colour, ls="--", lw=0.9, label=f"{s.where}, offset")
     ax.set(xlabel="frequency [Hz]", ylabel="answer of the TCP, 1 = static", title="Answer of arm and drives")
-    ax.legend(fontsize=7, ncols=2)
+    ax.legend(fontsize=7, loc="upper right")
     return save(figure, path)

@@ -108,7 +108,7 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
     run_jobs(case, jobs, say, processes)
     say("learning on every second course: the arm in motion, latency, force profile, answer of arm and drives, filter")
     ladder, told = _ladder(case, ways, rows, whole, list(draws.values()), say, processes)
-    rungs = {name: [job, *(replace(job, name=f"{job.name}_{seed}", seed=seed) for seed in DRAWS)] for name, job in ladder.items()}
+    rungs = {name: _in_all_draws(job) for name, job in ladder.items()}
     rungs[NOT_KEPT] = rungs.pop(NOT_KEPT)[:1]  # the last line of the table
     run_jobs(case, [*(job for jobs in rungs.values() for job in jobs), steady_job(ladder[LAST])], say, processes)
     rungs = {
@@ -122,11 +122,15 @@ def run_case(case: Case, processes: int, budget: bool, nodes: bool) -> int:
         (whole["without"], *draws.values()), (whole["18 DOF"], *corrected.values())
     ))  # fmt: skip
     drawn = in_draws(case.name, before, after)
-    found = _collect(case, rows, whole, rungs, told, hard, plan.of(case, cell.tolerance) if plan else None, how, drawn)
+    found = _collect(case, rows, whole, rungs, told, hard, plan.of(case, cell.tolerance) if plan else None, how, drawn, processes)
     found.numbered.insert(0, section(left, found.rungs[START][0]))
     report = write_report(found, case.out)
     _finish(case, found, left, say, report)
     return 1 if found.outside else 0
+
+
+def _in_all_draws(job: Job) -> list[Job]:
+    return [job, *(replace(job, name=f"{job.name}_{seed}", seed=seed) for seed in DRAWS)]
 
 
 def courses_of(case: Case, count: int) -> tuple[int, ...]:
@@ -155,6 +159,21 @@ def _ladder(
 
     again: drives without correction with other noise and other drift: the filters have many numbers to learn.
     """
+    held_out = tuple(rows[1::2])
+    jobs = {
+        "+ static effects (improve)": Job("ladder_1", held_out, whole["improved"].model),
+        "+ force sensor zeroed before each course": Job("ladder_zeroed", held_out, whole["improved"].model, zeroed=True),
+    }
+    # these two wait for nothing, and learning keeps one processor busy for most of the time
+    with meanwhile(case, [one for job in jobs.values() for one in _in_all_draws(job)]):
+        return _learnt(case, ways, rows, jobs, whole, again, say, processes)
+
+
+def _learnt(
+    case: Case, ways: Ways, rows: tuple[int, ...], jobs: dict[str, Job], whole: dict[str, Job], again: list[Job], say: Teller,
+    processes: int,
+) -> tuple[dict[str, Job], dict[str, object]]:  # fmt: skip
+    """The further rows of the ladder, by what the training courses tell, and that."""
     train, held_out = np.arange(0, len(rows), 2), np.arange(1, len(rows), 2)
     moving = improved_in_motion(case, [whole["without"], *again], train, say.shares())
     say(f"in motion: {' + '.join(moving.effects)}, {_um(moving)} um on held-out places of the training courses")
@@ -176,9 +195,6 @@ def _ladder(
         for name, part in (("profiles", some), ("profiles_training", taught))
     )
     ahead, slack = float(min(latency.delay, 0.1)), round(min(2.0 * profile.spread, 0.2), 4)
-    jobs = {}
-    jobs["+ static effects (improve)"] = Job("ladder_1", some, whole["improved"].model)
-    jobs["+ force sensor zeroed before each course"] = Job("ladder_zeroed", some, whole["improved"].model, zeroed=True)
     jobs["+ the arm measured in motion (improve)"] = step = Job(
         "ladder_2", some, str(case.out / "model_moving.yaml"), zeroed=True
     )
@@ -221,14 +237,14 @@ def _taps(taps) -> tuple[float, ...]:  # type: ignore[no-untyped-def]
     return tuple(float(f"{x:.9g}") for x in taps / taps.sum())
 
 
-def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None, how: str, drawn) -> Found:  # type: ignore[no-untyped-def]
+def _collect(case, rows, whole, ladder, told, hard, budget: Budget | None, how: str, drawn, processes: int) -> Found:  # type: ignore[no-untyped-def]
     tolerance = read_cell(case.cell_path).tolerance
     drives = {name: load(case, job) for name, job in whole.items()}
     table: dict[str, Figures] = {name: figures(d, tolerance) for name, (d, _) in drives.items()}
     held_out = np.arange(1, len(rows), 2)
     rungs = {name: [figures(_on(case, job, held_out), tolerance) for job in jobs] for name, jobs in ladder.items()}
     steps = {name: load(case, jobs[0])[1] for name, jobs in ladder.items()}
-    sections = numbered(case)
+    sections = numbered(case, processes)
     if case.name == "machining":
         sections.append(posture_section(case, ways_of(case, hard).only(np.array(rows)[held_out]), told["profile"]))
     return Found(

@@ -109,19 +109,29 @@ class Drawn:
     @property
     def short(self) -> str:
         """Mean and how uncertain it is, as far as there is more than one draw."""
-        digits = 3 if self.unit == "mm" else 1
-        uncertain = f" +- {self.uncertain:.{digits}f}" if len(self.values) > 1 else ""
-        return f"{self.mean:.{digits}f}{uncertain} {self.unit}"
+        return f"{self.digits(self.mean)}{self._uncertain} {self.unit}"
+
+    @property
+    def range(self) -> str:
+        """Smallest to largest."""
+        return f"{self.digits(min(self.values))} to {self.digits(max(self.values))} {self.unit}"
 
     @property
     def told(self) -> str:
         low, high = self.band
-        drawn = (
-            f" +- {self.uncertain:.2g} (mean of {len(self.values)} draws, {min(self.values):.3g} to {max(self.values):.3g})"
-            if len(self.values) > 1
-            else ""
-        )
-        return f"{self.name} is {self.mean:.3g}{drawn} {self.unit}, the real cell's band is {low:g} to {high:g} {self.unit}"
+        drawn = f" (mean of {len(self.values)} draws, {self.range})" if len(self.values) > 1 else ""
+        return f"{self.name} is {self.short}{drawn}, the real cell's band is {low:g} to {high:g} {self.unit}"
+
+    def digits(self, value: float) -> str:
+        """A value as all of its kind are written."""
+        return f"{value:.{3 if self.unit == 'mm' else 1}f}"
+
+    @property
+    def _uncertain(self) -> str:
+        if len(self.values) < 2:
+            return ""
+        said = self.digits(self.uncertain)
+        return f" +- {said}" if float(said) > 0.0 else f" +- less than {'0.001' if self.unit == 'mm' else '0.1'}"
 
 
 def line(name: str, cells: Sequence[str]) -> str:

@@ -110,7 +110,7 @@ def _draw(ax: Any, codecs: Sequence[Codec], kind: _Kind) -> None:
         ax.plot(at, np.median(values, axis=0), color=colour, linewidth=0.8, label=label)
         _draw_saturation(ax, codec, colour, kind.labelled)
     floor = 1e3 * kind.floor(codecs[0])
-    ax.axhline(floor, color="black", linestyle="--", linewidth=1, label=f"instrument noise alone, {floor:.3f} mm")
+    ax.axhline(floor, color="black", linestyle="--", linewidth=1, label=f"stated instrument noise alone, {floor:.3f} mm")
 
 
 def _draw_saturation(ax: Any, codec: Codec, colour: str, named: bool) -> None:
