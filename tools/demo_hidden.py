@@ -140,7 +140,7 @@ def _print_result(
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(f"\n  {'held-out error':34} {'um':>8}")
     for r in ladder.rungs:
-        print(f"  {'+ ' + r.added if r.added else ' + '.join(r.effects):34} {1e6 * r.cv_rms_m:8.1f}")
+        print(f"  {r.title:34} {1e6 * r.cv_rms_m:8.1f}")
     print(f"  {'noise of the instruments':34} {1e6 * ladder.noise_floor_m:8.1f}\n")
     print(f"  {'lateral deviation on the course':34} {'mean':>8} {'max':>8} {'std':>8}  [mm]")
     for row in rows:

@@ -97,7 +97,7 @@ def run(name: str, one: Set, folder: Path, ladder_only: bool) -> None:
     if not ladder_only:
         told = improve(session)
         for rung in told.rungs:
-            what = f"irec improve: + {rung.added}" if rung.added else "irec improve: start"
+            what = f"irec improve: {rung.title if rung.added else 'start'}"
             print(f"  {what:34} {1e3 * float(rung.model.figures['cv_mean_m']):8.4f}   rms {1e3 * rung.cv_rms_m:.4f}")
         print(f"  stopped: {told.stopped}")
         print(f"  verdict: {told.before.verdict.status}. {told.before.verdict.text}")

@@ -60,9 +60,10 @@ def in_words(ladder: Ladder) -> str:
     """The ladder for a terminal."""
     lines = [f"{'model':40} {'held-out um':>12} {'+-':>6} {'fit um':>8}"]
     for r in ladder.rungs:
-        name = f"+ {r.added}" if r.added else " + ".join(r.effects)
-        lines.append(f"{name:40} {1e6 * r.cv_rms_m:12.1f} {1e6 * r.cv_rms_se_m:6.1f} {1e6 * r.fit_rms_m:8.1f}")
+        lines.append(f"{r.title:40} {1e6 * r.cv_rms_m:12.1f} {1e6 * r.cv_rms_se_m:6.1f} {1e6 * r.fit_rms_m:8.1f}")
     lines.append(f"{'noise floor':40} {1e6 * ladder.noise_floor_m:12.1f}")
+    if not all(r.named for r in ladder.rungs):
+        lines.append("(no name): predicts structure that no effect can be named for; it is no diagnosis")
     lines.append(f"stopped: {ladder.stopped}")
     lines.append(textwrap.fill(f"estimator: {ESTIMATOR}", 100, subsequent_indent="  "))
     return "\n".join(lines)

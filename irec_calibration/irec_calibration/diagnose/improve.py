@@ -50,6 +50,13 @@ class Rung:
     parts: dict[str, Parts] = field(default_factory=dict)
     named: bool = True
 
+    @property
+    def title(self) -> str:
+        """The model in a table or under a figure: its effects, or what it has more than the one before."""
+        if not self.added:
+            return " + ".join(self.effects)
+        return f"+ {self.added}" if self.named else f"+ {self.added} (no name)"
+
 
 @dataclass(frozen=True)
 class Ladder:
@@ -129,7 +136,9 @@ def improve(
         heavier = replace(last.model, terms=(*last.model.terms, term))
         effects = (*last.effects, READ_AT_REFERENCES.id)
         rungs.append(
-            replace(last, added=READ_AT_REFERENCES.id, effects=effects, log_evidence=readings.log_evidence, model=heavier)
+            replace(
+                last, added=READ_AT_REFERENCES.id, effects=effects, log_evidence=readings.log_evidence, model=heavier, named=True
+            )
         )
     say(1.0, "done")
     return Ladder(session.name, before.comparison.noise_floor_m, tuple(rungs), before, _stopped(assessment))

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..codec import pose_data, run_codec
 from ..codec.algorithm1 import ESTIMATOR as CODEC_ESTIMATOR
 from ..diagnose.comparison import compare
-from ..diagnose.improve import Ladder
+from ..diagnose.improve import Ladder, Rung
 from ..effects import find_effect
 from ..errors import IrecError
 from ..identification.validation import ESTIMATOR
@@ -30,20 +31,13 @@ def write_ladder_report(
         named: paths of session and new model as the user typed them, for commands to copy.
     """
     hero = _picture(ladder, folder)
-    first, last = ladder.rungs[0], ladder.rungs[-1]
-    added = [r.added for r in ladder.rungs[1:]]
-    verdict = (
-        f"Adding {' and '.join(find_effect(a).label if a else a for a in added)} lowers the error on held-out poses from "
-        f"{length(first.cv_rms_m)} to {length(last.cv_rms_m)}; the instruments' noise is {length(ladder.noise_floor_m)}. "
-        f"Stopped because {ladder.stopped}."
-        if added
-        else f"No effect was added: {ladder.stopped}. {ladder.before.verdict.text}"
-    )
+    last = ladder.rungs[-1]
+    all_named = len(ladder.rungs) > 1 and all(r.named for r in ladder.rungs)
     page = Page(
         title=f"How the error fell: {session.name}",
         subtitle=f"Robot {session.serial or 'without serial'}, {len(session.poses)} poses, model {' + '.join(last.effects)}",
-        verdict=verdict,
-        status="adequate" if added else ladder.before.verdict.status,
+        verdict=_verdict(ladder),
+        status="adequate" if all_named else ladder.before.verdict.status,
         hero=hero,
         todo=after_improvement(
             ladder,
@@ -57,26 +51,50 @@ def write_ladder_report(
     return [write_page(page, folder / "report.html"), *figures]
 
 
-def _names(ladder: Ladder) -> list[str]:
-    return [f"+ {r.added}" if r.added else " + ".join(r.effects) for r in ladder.rungs]
+def _verdict(ladder: Ladder) -> str:
+    """What was added, and what of it is no diagnosis."""
+    named = [r for r in ladder.rungs[1:] if r.named]
+    others = [r for r in ladder.rungs if not r.named]
+    first, last = ladder.rungs[0], ladder.rungs[-1]
+    before = ladder.rungs[ladder.rungs.index(others[0]) - 1] if others else last
+    if len(ladder.rungs) == 1:
+        return f"No effect was added: {ladder.stopped}. {ladder.before.verdict.text}"
+    said = []
+    if named:
+        errors = f"from {length(first.cv_rms_m)} to {length(before.cv_rms_m)}"
+        said.append(f"Adding {_labels(named)} lowers the error on held-out poses {errors}.")
+    if others:
+        said.append(
+            f"To predict what has no name the model has {_labels(others)}, which is no diagnosis: the error on held-out poses is"
+            f" then {length(last.cv_rms_m)} for {length(before.cv_rms_m)}."
+        )
+    said.append(f"The instruments' noise is {length(ladder.noise_floor_m)}. Stopped because {ladder.stopped}.")
+    return " ".join(said)
+
+
+def _labels(rungs: Sequence[Rung]) -> str:
+    return " and ".join(find_effect(i).label for r in rungs for i in r.added.split("+"))
 
 
 def _picture(ladder: Ladder, folder: Path) -> Figure:
     rungs = ladder.rungs
     errors, ses = [r.cv_rms_m for r in rungs], [r.cv_rms_se_m for r in rungs]
-    picture = models.ladder(_names(ladder), errors, ses, ladder.noise_floor_m, folder / "ladder.png")
+    unsure = [not r.named for r in rungs]
+    picture = models.ladder([r.title for r in rungs], errors, ses, unsure, ladder.noise_floor_m, folder / "ladder.png")
     text = "Error on poses that the model was not fitted to, with its standard error over poses."
+    if any(unsure):
+        text += " Hollow: with what predicts structure that has no name, and is no diagnosis."
     return Figure(picture, f"{text} Estimator: {ESTIMATOR}.")
 
 
 def _ladder(ladder: Ladder) -> Section:
     rungs = ladder.rungs
     rows = []
-    for name, r in zip(_names(ladder), rungs, strict=True):
+    for r in rungs:
         term = next((t for t in r.model.terms if t.effect.id == r.added), None)
         values = "; ".join(f"{n} = {e}" for n, e in list(term.estimates.items())[:6]) if term else ""
-        rows.append([name, f"{length(r.cv_rms_m)} +- {length(r.cv_rms_se_m)}", length(r.fit_rms_m), values])
-    physics = [f"{find_effect(r.added).label.capitalize()}: {find_effect(r.added).physics}" for r in rungs if r.added]
+        rows.append([r.title, f"{length(r.cv_rms_m)} +- {length(r.cv_rms_se_m)}", length(r.fit_rms_m), values])
+    physics = [f"{find_effect(r.added).label.capitalize()}: {find_effect(r.added).physics}" for r in rungs if r.added and r.named]
     return Section("What was added", physics, tables=[Table(["model", "held-out", "fit", "parameters added"], rows)])
 
 

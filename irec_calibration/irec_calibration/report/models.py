@@ -13,8 +13,10 @@ from ..typing import Array
 from . import style
 
 
-def ladder(labels: Sequence[str], cv_rms: Sequence[float], cv_se: Sequence[float], floor: float, path: str | Path) -> Path:
-    """Held-out error per model version down to the noise floor; m."""
+def ladder(
+    labels: Sequence[str], cv_rms: Sequence[float], cv_se: Sequence[float], unsure: Sequence[bool], floor: float, path: str | Path
+) -> Path:
+    """Held-out error per model version down to the noise floor, m; hollow where what was added is no diagnosis."""
     plt = style.pyplot()
     figure, ax = plt.subplots(figsize=(max(5.5, 1.5 * len(labels) + 2), 4.2))
     x = np.arange(len(labels))
@@ -22,10 +24,12 @@ def ladder(labels: Sequence[str], cv_rms: Sequence[float], cv_se: Sequence[float
     top = factor * np.array(cv_rms)
     ax.plot(x, top, color=style.GREY, lw=1, zorder=1)
     ax.errorbar(x, top, yerr=factor * np.array(cv_se), fmt="o", ms=8, capsize=4, color=style.BLUE, zorder=2)
+    hollow = np.array(unsure)
+    ax.plot(x[hollow], top[hollow], "o", ms=5, color="white", zorder=3)
     for i, value in enumerate(top):
         ax.annotate(f"{value:.2f}" if unit == "mm" else f"{value:.1f}", (x[i], value), textcoords="offset points", xytext=(10, 6))
     ax.axhline(factor * floor, color=style.RED, ls="--", label=f"{style.NOISE_LABEL} {length(floor)}")
-    ax.set_xticks(x, [label.replace(" + ", "\n+ ") for label in labels])
+    ax.set_xticks(x, [label.replace(" + ", "\n+ ").replace(" (", "\n(") for label in labels])
     ax.set_xlim(-0.5, len(labels) - 0.3)
     ax.set_ylim(0, 1.15 * max(top.max(), factor * floor))
     ax.set_ylabel(f"held-out error [{unit} rms]")

@@ -43,6 +43,16 @@ def test_what_cannot_be_named_stands_in_for_what_is_missing_and_is_no_diagnosis(
     assert ladder.before.cv_rms_after_m == last.cv_rms_m < ladder.rungs[-2].cv_rms_m
 
 
+def test_neither_terminal_nor_report_passes_off_as_a_diagnosis_what_stands_in(ladder, tmp_path):
+    from irec_calibration.commands.improve import in_words
+    from irec_calibration.report.ladder import write_ladder_report
+
+    assert "+ joint_backlash (no name)" in in_words(ladder)
+    page = write_ladder_report(ladder, session(play_in_the_bearing_of_axis_5), tmp_path)[0].read_text(encoding="utf-8")
+    assert "the model has joint backlash, which is no diagnosis" in page
+    assert "Adding joint backlash" not in page
+
+
 def test_a_model_with_what_stands_in_predicts_other_poses_better(ladder):
     assert missed(ladder.rungs[-1].model) < 0.95 * missed(ladder.rungs[-2].model)
 

@@ -18,7 +18,7 @@ PNG = b"\x89PNG"
 
 
 def test_a_page_holds_its_figures_and_names_nothing_outside(tmp_path):
-    figure = models.ladder(["6 DOF", "18 DOF"], [9e-5, 3e-5], [5e-6, 2e-6], 2.5e-5, tmp_path / "ladder.png")
+    figure = models.ladder(["6 DOF", "18 DOF"], [9e-5, 3e-5], [5e-6, 2e-6], [False, True], 2.5e-5, tmp_path / "ladder.png")
     page = Page("Title <b>", "sub", "the tool bends & twists", "missing_effect",
                 [Section("Ladder", ["text"], [Figure(figure, "caption")],
                          [Table(["a", "b"], [["x<y", 1.23456], [None, 2]])])])  # fmt: skip
