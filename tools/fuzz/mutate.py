@@ -27,6 +27,11 @@ VALUES: tuple[Any, ...] = (
 )  # fmt: skip
 
 
+# those of C where PyYAML has them: most of the time would go into files that nobody has read yet
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
 def mutate_bytes(data: bytes, rng: random.Random) -> bytes:
     """A few changes anywhere: bits, slices left out, doubled or put elsewhere, words put in, the end cut off."""
     out = bytearray(data)
@@ -78,7 +83,7 @@ def mutate_yaml(data: bytes, rng: random.Random) -> bytes:
         return mutate_bytes(data, rng)
     if kind < 0.35:
         return mutate_words(data.decode(), rng).encode("utf-8", "surrogateescape")
-    tree = copy.deepcopy(yaml.safe_load(data))
+    tree = yaml.load(data, _Loader)
     for _ in range(rng.choice((1, 1, 1, 2, 5))):
         places = list(_places(tree))
         if not places:
@@ -98,9 +103,8 @@ def mutate_yaml(data: bytes, rng: random.Random) -> bytes:
             parent[key] = parent[key] * rng.choice((-1, 1000, 1e-3, 1e12, 57.29577951308232, 0))
         else:
             parent[key] = copy.deepcopy(rng.choice(VALUES))
-    text = yaml.safe_dump(
-        tree, allow_unicode=True, sort_keys=rng.random() < 0.2, default_flow_style=rng.choice((None, True, False))
-    )
+    sort_keys, style = rng.random() < 0.2, rng.choice((None, True, False))
+    text = yaml.dump(tree, Dumper=_Dumper, allow_unicode=True, sort_keys=sort_keys, default_flow_style=style)
     return text.encode("utf-8", "replace")
 
 

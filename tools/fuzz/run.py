@@ -11,6 +11,7 @@ import argparse
 import atexit
 import collections
 import json
+import math
 import os
 import random
 import resource
@@ -34,8 +35,8 @@ class _Hang(BaseException):
     pass
 
 
-def work(folder: Path, seed: int, begin: int, seconds: float, only: str) -> None:
-    """Worker: read mutated files in turn, print a line of JSON for each."""
+def work(folder: Path, seed: int, begin: int, seconds: float, last: int, only: str) -> None:
+    """Worker: read mutated files in turn until the time is over or up to number `last`, print a line of JSON for each."""
     sys.path.insert(0, str(HERE))
     warnings.simplefilter("ignore")
     from irec_calibration.errors import IrecError
@@ -53,7 +54,7 @@ def work(folder: Path, seed: int, begin: int, seconds: float, only: str) -> None
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
     end = time.monotonic() + seconds
     number = begin
-    while time.monotonic() < end:
+    while time.monotonic() < end and number < last:
         target = everything[number % len(everything)]
         rng = random.Random(f"{seed} {number}")
         path = folder / target.file
@@ -90,13 +91,15 @@ def work(folder: Path, seed: int, begin: int, seconds: float, only: str) -> None
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--files", type=int, help="end after so many files, however long they take")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="part of the name of the readers to try")
     parser.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for files that made a reader fail")
     parser.add_argument("--worker", nargs=2, help=argparse.SUPPRESS)
     args = parser.parse_args()
+    seconds, last = (args.seconds, sys.maxsize) if args.files is None else (math.inf, args.files)
     if args.worker:
-        work(Path(args.worker[0]), args.seed, int(args.worker[1]), args.seconds, args.only)
+        work(Path(args.worker[0]), args.seed, int(args.worker[1]), seconds, last, args.only)
         return 0
     folder = Path(tempfile.mkdtemp(prefix="irec-fuzz-"))
     sys.path.insert(0, str(HERE))
@@ -107,10 +110,10 @@ def main() -> int:
     refused: collections.Counter[str] = collections.Counter()
     longest: dict[str, float] = collections.defaultdict(float)
     findings: list[tuple[str, str, int]] = []
-    number, end = 0, time.monotonic() + args.seconds
+    number, end = 0, time.monotonic() + seconds
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # whoever ends it wants the counts too
     try:
-        while time.monotonic() < end:
+        while time.monotonic() < end and number < last:
             number = _one_worker(args, folder, number, end, runs, refused, longest, findings)
     except KeyboardInterrupt:
         print("stopped; so far:")
@@ -140,7 +143,8 @@ def _one_worker(args, folder, number, end, runs, refused, longest, findings) -> 
     left = max(end - time.monotonic(), 1.0)
     command = [sys.executable, __file__, "--worker", str(folder), str(number), "--seed", str(args.seed), "--seconds", str(left)]
     errors = open(folder.with_suffix(".err"), "w")
-    worker = subprocess.Popen([*command, "--only", args.only], stdout=subprocess.PIPE, stderr=errors, text=True)
+    command += ["--only", args.only, *([] if args.files is None else ["--files", str(args.files)])]
+    worker = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
     atexit.register(worker.kill)
     watch = _Watch(worker)
     current: dict[str, object] = {}
