@@ -247,14 +247,18 @@ def run_jobs(case: Case, jobs: Sequence[Job], say: Callable[[str], None], proces
 
 
 @contextmanager
-def meanwhile(case: Case, jobs: Sequence[Job]) -> Iterator[None]:
-    """Drive what depends on nothing that is still being measured, one after the other, as far as the processors are free.
+def meanwhile(case: Case, jobs: Sequence[Job], gently: bool = True) -> Iterator[None]:
+    """Drive what depends on nothing that is still being measured, one after the other.
 
-    What is not done at the end is left for `run_jobs`.
+    What is not done at the end is left for `run_jobs`, but for the drive that is under way, which is waited for.
+
+    Args:
+        gently: as far as the processors are free, where something else must not be late.
     """
     left = [j for j in jobs if not _done(case, j)]
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
-    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_in_the_background)
+    begin = _in_the_background if gently else die_with_parent
+    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin)
     futures = [pool.submit(run_job, case, job) for job in left]
     try:
         yield

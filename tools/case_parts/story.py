@@ -165,7 +165,7 @@ def _ladder(
         "+ force sensor zeroed before each course": Job("ladder_zeroed", held_out, whole["improved"].model, zeroed=True),
     }
     # these two wait for nothing, and learning keeps one processor busy for most of the time
-    with meanwhile(case, [one for job in jobs.values() for one in _in_all_draws(job)]):
+    with meanwhile(case, [one for job in jobs.values() for one in _in_all_draws(job)], gently=False):
         return _learnt(case, ways, rows, jobs, whole, again, say, processes)
 
 
