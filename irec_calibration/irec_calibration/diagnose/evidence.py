@@ -18,7 +18,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import erfcx, log_ndtr
 
 from ..identification.bounded import solve_bounded_gram
-from ..identification.validation import RIDGE, predicted_from_others
+from ..identification.validation import RIDGE, floored, predicted_from_others
 from ..typing import Array, IntArray
 
 Products = tuple[Array, Array]  # A'A and A'b of a block
@@ -86,10 +86,11 @@ class Bench:
     """The right side of a session, cut into poses; solves blocks against it.
 
     Attributes:
-        b: (n,) whitened; pose: pose number of each equation, (n,).
+        b: (n,) whitened; pose: pose number of each equation, (n,); rounding: see `floored`.
     """
 
-    def __init__(self, b: Array, pose: IntArray, noise: NoisePrior | None = None) -> None:
+    def __init__(self, b: Array, pose: IntArray, noise: NoisePrior | None = None, rounding: float = RIDGE) -> None:
+        self.rounding = rounding
         self.noise = noise or NoisePrior()
         self.b = b
         self.pose = pose
@@ -123,7 +124,7 @@ class Bench:
         return self._solve(block.A.T @ block.A, block.A.T @ self.b, block, width)[2]
 
     def _solve(self, G: Array, h: Array, block: Block, width: Array) -> tuple[Array, Array, Array]:
-        precision = np.maximum(1.0 / width**2, RIDGE * max(float(G.diagonal().max()), 1e-30))
+        precision = floored(1.0 / width**2, G, self.rounding)
         H = G + precision[:, :, None] * np.eye(len(h))
         x = solve_bounded_gram(H, h, block.lower, block.upper)
         Gx = x @ G
@@ -146,7 +147,7 @@ class Bench:
     def held_out(self, block: Block) -> Array:
         """Whitened residual of every equation, each pose predicted from all others, (n,)."""
         precision = 1.0 / block.width**2
-        return predicted_from_others(block.A, self.b, self._of_pose, block.lower, block.upper, precision)
+        return predicted_from_others(block.A, self.b, self._of_pose, block.lower, block.upper, precision, self.rounding)
 
     def by_pose(self, squared: Array) -> Array:
         """Sum per pose of a quantity per equation, (n,) -> (poses,)."""
@@ -173,7 +174,7 @@ class Ground:
         x = alone.x
         self._free = (x > block.lower) & (x < block.upper)
         self._x_held = x[~self._free]
-        precision = np.maximum(1.0 / block.width**2, RIDGE * max(float(G.diagonal().max(initial=0.0)), 1e-30))
+        precision = floored(1.0 / block.width**2, G, bench.rounding)
         self._b = bench.b - block.A[:, ~self._free] @ self._x_held
         self._held = float((precision[~self._free] * self._x_held**2).sum())
         self._precision = precision[self._free]
@@ -195,6 +196,12 @@ class Ground:
     def fitted(self) -> float:
         inverse = np.linalg.inv(self._L)
         return len(inverse) - float(((inverse**2).sum(axis=0) * self._precision).sum())
+
+    @property
+    def taken_up(self) -> Array:
+        """What the ground takes up of noise of one in each equation: columns whose products are its covariance, (n, free)."""
+        out: Array = solve_triangular(self._L, self._B.T, lower=True).T
+        return out
 
     def reduce(self, X: Array) -> tuple[Array, Array]:
         """What is left of columns beside the ground: V (free, m) with S = X'X - V'V, and u = X'b - V'c, (m,)."""
@@ -226,7 +233,7 @@ class Ground:
 
     def posterior_reduced(self, S: Array, u: Array, V: Array, block: Block, factors: Array) -> Posterior:
         """As `posterior`, for a block whose reduced columns are known already (see `reduce`)."""
-        precision = np.maximum((block.width * factors[:, None]) ** -2.0, RIDGE * max(float(S.diagonal().max()), 1e-30))
+        precision = floored((block.width * factors[:, None]) ** -2.0, S, self.bench.rounding)
         H = S + precision[:, :, None] * np.eye(len(u))
         if np.isinf(block.lower).all() and np.isinf(block.upper).all():
             x = np.linalg.solve(H, np.broadcast_to(u, (len(H), len(u)))[:, :, None])[:, :, 0]

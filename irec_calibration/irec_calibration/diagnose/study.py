@@ -16,7 +16,7 @@ from ..identification.absolute import completed, thinned
 from ..identification.identify import Fit, fit, observe_with_force_noise
 from ..identification.observe import Observation
 from ..identification.system import linearise
-from ..identification.validation import RIDGE
+from ..identification.validation import RIDGE, ROUNDING, floored
 from ..model import Term, apply_wrench_effects, elastic_response
 from ..session.data import Session
 from ..typing import Array
@@ -144,7 +144,8 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     system = linearise(first, observation)
     owners = [terms[i].effect.id for i in system.owner]
     believed = NoisePrior(scale=1.0 / observation.whiten.level)
-    bench = Bench(system.b, system.pose.astype(np.int64), believed)
+    rounding = ROUNDING if scene.kind == "absolute" else RIDGE
+    bench = Bench(system.b, system.pose.astype(np.int64), believed, rounding)
     block = Block(system.A, system.lower, system.upper, _beside_softening(own, system.parameters, system.scale))
     follows = _going_with(system.parameters)
     for rows, log_odds in choices([terms[i].effect for i in system.owner]):
@@ -168,7 +169,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
         tuple(owners),
         tuple(system.parameters),
         system.scale,
-        Bench(system.b, system.pose.astype(np.int64), believed),
+        Bench(system.b, system.pose.astype(np.int64), believed, rounding),
     )
 
 
@@ -203,7 +204,7 @@ def _softness(bench: Bench, block: Block, follows: dict[int, int]) -> Array:
     if follows:
         x = bench.posterior(block).x
         G = block.A.T @ block.A
-        precision = np.maximum(block.width**-2.0, RIDGE * max(float(G.diagonal().max()), 1e-30))
+        precision = floored(block.width**-2.0, G, bench.rounding)
         variance = np.linalg.inv(G + np.diag(precision)).diagonal()
         for i, j in follows.items():
             out[i] = np.sqrt(x[j] ** 2 + variance[j])

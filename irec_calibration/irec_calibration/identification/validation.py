@@ -24,6 +24,9 @@ ESTIMATOR = (
     " others"
 )
 RIDGE = 1e-9  # relative to the largest diagonal entry: makes the solution unique along unobserved directions
+# The same for parameters of absolute sessions that have a prior, for rounding only. There a station that turns moves the marker
+# by far more than what is asked about, and a ridge by its size would hold that back.
+ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -46,21 +49,31 @@ class HeldOut:
     residual: Array
 
 
+def floored(precision: Array, G: Array, rounding: float = RIDGE) -> Array:
+    """Precision of normal priors, (..., p), with what makes a problem of the Gram matrix G, (p, p), solvable.
+
+    Args:
+        rounding: least precision of parameters that have a prior, relative to the largest diagonal entry; RIDGE for the others.
+    """
+    floor = np.where(precision > 0.0, rounding, RIDGE) * max(float(G.diagonal().max(initial=0.0)), 1e-30)
+    return np.asarray(np.maximum(precision, floor))
+
+
 def predicted_from_others(
-    A: Array, b: Array, of_pose: Sequence[IntArray], lower: Array, upper: Array, precision: Array
+    A: Array, b: Array, of_pose: Sequence[IntArray], lower: Array, upper: Array, precision: Array, rounding: float = RIDGE
 ) -> Array:
     """Residual of every equation, each pose predicted by bounded least squares from all others, (n,).
 
     Args:
         A, b: whitened equations, (n, p) and (n,); of_pose: equations of each pose.
         lower, upper: bounds, (p,); precision: of the normal prior about 0 of each parameter, (p,).
+        rounding: see `floored`.
     """
     G, h = A.T @ A, A.T @ b
     parts = [A[rows] for rows in of_pose]
     G_out = G - np.stack([a.T @ a for a in parts])
     h_out = h - np.stack([a.T @ b[rows] for a, rows in zip(parts, of_pose, strict=True)])
-    floor = RIDGE * max(float(G.diagonal().max()), 1e-30)
-    x = solve_bounded_gram(G_out + np.diag(np.maximum(precision, floor)), h_out, lower, upper)
+    x = solve_bounded_gram(G_out + np.diag(floored(precision, G, rounding)), h_out, lower, upper)
     out = np.empty_like(b)
     for rows, a, values in zip(of_pose, parts, x, strict=True):
         out[rows] = b[rows] - a @ values
