@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 from .candidates import Option, Trial, options, try_option
 from .evidence import Ground
 from .explanation import Explanation, explain, reshaped_again
-from .family import Family, family_of
+from .family import Family
 from .forms import bends, forms_of
+from .level import family_in_view
 from .naming import proven, pruned, refused
 from .readings import by_readings
 from .remainder import grow
@@ -59,7 +60,7 @@ class Built:
 
 def build(study: Study, check: Check = lambda: None, settings: Settings = SETTINGS) -> Built:
     """Build a model on top of a start as far as the evidence goes."""
-    family = family_of(study)
+    family = family_in_view(study)
     found, skipped = options(study, check=check)
     start = Explanation((), study, 0.0, grow(study.bench, family, study.base))
     ground = Ground(study.bench, study.base)

@@ -7,7 +7,7 @@ session is described by, a direction is what a force, a turn of an axis or an in
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -146,27 +146,37 @@ def family_of(study: Study) -> Family:
                 )  # fmt: skip
                 columns.append(own)
                 at += own.shape[1]
-    for words, own, tried, here in _bad_rows(study):
+    A = np.concatenate(columns, axis=1) if columns else np.zeros((len(study.bench.b), 0))
+    whole = Family(tuple(structures), A.astype(np.float32) if len(A) > LARGE else A)
+    return with_bad_rows(whole, study, study.fit.residual)
+
+
+def with_bad_rows(family: Family, study: Study, *residuals: Array) -> Family:
+    """A family with the bad readings that may stand out of any of some residuals, (m, 3), m, in place of those that it has."""
+    structures = [s for s in family.structures if not s.is_bad_row]
+    at = structures[-1].columns.stop if structures else 0
+    columns = [family.A[:, :at]]
+    for words, own, tried, here in _bad_rows(study, residuals):
         rows = tuple(int(r) for r in study.observation.rows[here])
         structures.append(Structure((), words, slice(at, at + own.shape[1]), tried, is_bad_row=True, rows=rows))
-        columns.append(own)
+        columns.append(own.astype(family.A.dtype))
         at += own.shape[1]
-    for words, own, tried in _seated_anew(study):
+    for words, own, tried in _seated_anew(study, residuals):
         structures.append(Structure((), words, slice(at, at + own.shape[1]), tried, is_bad_row=True))
-        columns.append(own)
+        columns.append(own.astype(family.A.dtype))
         at += own.shape[1]
-    A = np.concatenate(columns, axis=1) if columns else np.zeros((len(study.bench.b), 0))
-    return Family(tuple(structures), A.astype(np.float32) if len(A) > LARGE else A)
+    return Family(tuple(structures), np.concatenate(columns, axis=1))
 
 
-def _bad_rows(study: Study) -> Iterator[tuple[str, Array, int, BoolArray]]:
+def _bad_rows(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[str, Array, int, BoolArray]]:
     """One row, or the reference of one pose and repeat, moved by itself: words, columns, how many there are, which rows, (m,).
 
     Only rows that stand out can be bad; the others are not tried.
     """
     observation = study.observation
-    size = np.linalg.norm(observation.whiten(study.fit.residual), axis=1)
-    rows = np.argsort(-size)[:BAD_ROWS_TRIED]
+    sizes = [np.linalg.norm(observation.whiten(r), axis=1) for r in residuals]
+    size = sizes[0]
+    rows = np.array(list(dict.fromkeys(int(i) for s in sizes for i in np.argsort(-s)[:BAD_ROWS_TRIED])))
     key = observation.scene.reference[observation.rows]
     moved = [(i, np.arange(len(size)) == i) for i in rows]
     shared = [k for k in dict.fromkeys(key[rows].tolist()) if k >= 0]
@@ -185,7 +195,7 @@ def _bad_rows(study: Study) -> Iterator[tuple[str, Array, int, BoolArray]]:
             yield f"all of pose {session.pose[k]}", np.concatenate(each, axis=1), len(np.unique(key)), key == k
 
 
-def _seated_anew(study: Study) -> Iterator[tuple[str, Array, int]]:
+def _seated_anew(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[str, Array, int]]:
     """A reflector that was seated anew on the tool in an absolute session: from some row on it is elsewhere in the tool frame.
 
     Of each marker the moments at which the residual in the tool frame steps most; words, columns, how many moments there are.
@@ -195,16 +205,20 @@ def _seated_anew(study: Study) -> Iterator[tuple[str, Array, int]]:
     observation, session = study.observation, study.session
     R = observation.scene.kin.R_tool[observation.rows]
     stamp, marker = session.stamp[observation.rows], session.marker[observation.rows]
-    residual = np.einsum("nji,nj->ni", R, study.fit.residual) / observation.whiten.sigma[:, None]
+    turned = [np.einsum("nji,nj->ni", R, r) / observation.whiten.sigma[:, None] for r in residuals]
     for m in np.unique(marker):
         if session.markers and session.markers[m].link != "tool0":
             continue
         rows = np.flatnonzero(marker == m)
         rows = rows[np.argsort(stamp[rows], kind="stable")]
-        n, before = len(rows), np.cumsum(residual[rows], axis=0)[:-1]
+        n = len(rows)
         count = np.arange(1, n)
-        step = ((before - before[-1:] * (count / n)[:, None]) ** 2).sum(axis=1) * n / (count * (n - count))
-        for k in np.argsort(-step)[:STEPS_TRIED]:
+        moments: list[int] = []
+        for t in turned:
+            before = np.cumsum(t[rows], axis=0)[:-1]
+            step = ((before - before[-1:] * (count / n)[:, None]) ** 2).sum(axis=1) * n / (count * (n - count))
+            moments += [int(k) for k in np.argsort(-step)[:STEPS_TRIED]]
+        for k in dict.fromkeys(moments):
             row = rows[k + 1]
             here = (marker == m) & (stamp >= stamp[row])
             of = f"reflector {session.markers[m].name} " if len(np.unique(marker)) > 1 else "the reflector "

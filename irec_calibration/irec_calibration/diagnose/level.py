@@ -10,16 +10,19 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ..identification.absolute import near_pairs
+from ..identification.marker_noise import by_marker
 from ..identification.noise import InferredNoise, level_of, pure_error
 from ..identification.observe import Observation
 from ..model import Term
 from ..typing import Array
 from .evidence import Ground
-from .family import Family, Structure, family_of
+from .family import Family, Structure, family_of, with_bad_rows
 from .remainder import Part, Remainder, grow
 from .settings import SETTINGS, Settings
 from .study import Study, study_of
 from .wander import likelier, wandering
+
+ROUNDS = 3  # in which the noise is shared out among markers
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ def with_inferred_level(
 
 def _beside_wander(first: Study, settings: Settings) -> tuple[Study, Remainder]:
     """A model under noise that wanders, as far as the session shows it, and its remainder."""
-    family = family_of(first)
+    family = family_in_view(first)
     beside = grow(first.bench, family, first.base, without=_follows_time)
     if first.session.kind == "loaded":
         observation = wandering(first.observation, left_beside(first, beside), settings)
@@ -60,24 +63,62 @@ def _beside_wander(first: Study, settings: Settings) -> tuple[Study, Remainder]:
             return first, grow(first.bench, family, first.base)
         study = study_of(observation, first.terms)
         return study, grow(study.bench, family_of(study), study.base)
+    first, beside = _beside_markers(first, beside, settings)
     # over a whole session noise that wanders and smooth functions of time pass for each other: each way to see it is weighed
     # together with the remainder that it leaves
-    whole = grow(first.bench, family, first.base)
+    whole = grow(first.bench, family_in_view(first), first.base)
     best, most = (first, whole), _log_evidence(first, whole) + settings.nats_for_wander
-    known: set[tuple[float, float]] = set()
+    known: set[tuple[float, float, bool]] = set()
     residuals = [_left(Ground(first.bench, first.base), first), left_beside(first, beside), left_beside(first, whole)]
     while residuals:
         observation = wandering(first.observation, residuals.pop(0), settings)
         wander = observation.whiten.wander
-        if wander is None or (wander.share, wander.time) in known:
+        if wander is None or (kind := (wander.share, wander.time, wander.common is None)) in known:
             continue
-        known.add((wander.share, wander.time))
+        known.add(kind)
         study = study_of(observation, first.terms)
-        rest = grow(study.bench, family_of(study), study.base)
+        rest = grow(study.bench, family_in_view(study), study.base)
         residuals.append(left_beside(study, rest))  # a fit under correlated noise takes up less of it
         if _log_evidence(study, rest) > most:
             best, most = (study, rest), _log_evidence(study, rest)
     return best
+
+
+def family_in_view(study: Study) -> Family:
+    """Every structure that can show in a session; in an absolute one bad readings may be such as stand out beside the others.
+
+    An absolute session starts without springs: what stands out of its geometry is how far the arm sags. Functions of time are
+    left aside, they would take up the step of a reflector that is seated anew.
+    """
+    family = family_of(study)
+    if study.session.kind == "loaded":
+        return family
+    beside = left_beside(study, grow(study.bench, family, study.base, without=_follows_time))
+    return with_bad_rows(family, study, study.fit.residual, beside)
+
+
+def _beside_markers(study: Study, remainder: Remainder, settings: Settings) -> tuple[Study, Remainder]:
+    """A model under noise that is shared out among the markers by what it and its remainder leave, and that remainder.
+
+    What a model lacks shows in all markers of a pose alike. Shared out by the residual of the model alone, that would pass for
+    noise that they have in common.
+    """
+    for _ in range(ROUNDS):
+        again, residual = beside_markers(study, remainder), left_beside(study, remainder)
+        if likelier(again, study.observation, residual) <= settings.nats_for_wander:
+            break
+        study = study_of(again, study.terms)
+        remainder = grow(study.bench, family_in_view(study), study.base, without=_follows_time)
+    return study, remainder
+
+
+def beside_markers(study: Study, remainder: Remainder) -> Observation:
+    """The observation with its noise shared out among the markers by what a model and its remainder leave."""
+    if study.session.kind == "loaded":
+        return study.observation
+    ground = Ground(study.bench, remainder.block)
+    taken_up = ground.taken_up.reshape(-1, 3, ground.taken_up.shape[1])
+    return by_marker(study.observation, _left(ground, study), study.observation.whiten.undo(taken_up))
 
 
 def _log_evidence(study: Study, remainder: Remainder) -> float:
@@ -94,7 +135,10 @@ def noise_left(study: Study, remainder: Remainder, family: Family, settings: Set
     if study.session.kind == "loaded" and any(_follows_time(p.structure) for p in remainder.parts):
         beside = grow(study.bench, family, study.base, remainder.parts, without=_follows_time)
     residual = left_beside(study, beside)
-    again = wandering(observation, residual, settings)
+    shared_out = wandering(beside_markers(study, beside), residual, settings)
+    again = max(
+        (wandering(observation, residual, settings), shared_out), key=lambda o: likelier(o, observation, residual)
+    )  # fmt: skip
     if likelier(again, observation, residual) > settings.nats_for_wander:
         again_whiten = again.whiten
         squared = (again_whiten(residual) ** 2).sum()

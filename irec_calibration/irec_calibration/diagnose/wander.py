@@ -2,9 +2,9 @@
 """Noise that wanders within minutes: how much of it, and how slowly, by the residual of a session.
 
 An Ornstein-Uhlenbeck process in time: in a loaded session within the rows that share a reference (differences of different poses
-are taken as independent, see `Whitening`), in an absolute one over all rows of a station. A share of the variance and a
-correlation time are chosen where they make the residual beside model and remainder likelier by far than independent noise of the
-same size does.
+are taken as independent, see `Whitening`), in an absolute one over all rows of a station. There it is a share of what the markers
+of a pose have in common, where several were seen, or of the noise of each row. A share of the variance and a correlation time are
+chosen where they make the residual beside model and remainder likelier by far than independent noise of the same size does.
 """
 
 from __future__ import annotations
@@ -34,10 +34,9 @@ def wandering(observation: Observation, residual: Array, settings: Settings = SE
     plain = replace(observation, whiten=replace(observation.whiten, wander=None))
     if observation.scene.clock != "time":
         return plain
-    possible = _possible(plain)
     alone = _log_likelihood(plain, residual)
     best, value = plain, alone + settings.nats_for_wander
-    for share, time in product(SHARES, TIMES):
+    for possible, share, time in product(_possible(plain), SHARES, TIMES):
         tried = replace(plain, whiten=replace(plain.whiten, wander=replace(possible, share=share, time=time)))
         odds = _log_likelihood(tried, residual)
         if odds > value:
@@ -45,18 +44,27 @@ def wandering(observation: Observation, residual: Array, settings: Settings = SE
     return best
 
 
-def _possible(observation: Observation) -> Wander:
-    """Which rows of a session may have correlated noise; share and time are yet open."""
+def _possible(observation: Observation) -> tuple[Wander, ...]:
+    """Which rows of a session may have correlated noise, and of which noise it may be a share; share and time are yet open.
+
+    What wanders, markers that are seen at one moment have in common; such as are seen one after the other may have their own.
+    """
     whiten, rows, session = observation.whiten, observation.rows, observation.session
     stamp = session.stamp[rows]
     if session.kind == "loaded":
         before = session.stamp[observation.scene.reference[rows]]
-        return Wander(0.0, 1.0, stamp, whiten.group, whiten.sigma, before, whiten.sigma_reference)
+        return (Wander(0.0, 1.0, stamp, whiten.group, whiten.sigma, before, whiten.sigma_reference),)
     stamp = stamp + FAR_APART * session.station[rows]  # each station has its own course
     stretch = np.empty(len(rows), dtype=np.int64)
     for number, part in enumerate(np.array_split(np.argsort(stamp, kind="stable"), -(-len(rows) // STRETCH))):
         stretch[part] = number
-    return Wander(0.0, 1.0, stamp, _with_whole_groups(stretch, whiten.group), whiten.sigma)
+    own = Wander(0.0, 1.0, stamp, _with_whole_groups(stretch, whiten.group), whiten.sigma)
+    shared = whiten.sigma_reference > 0.0
+    if not shared.any():
+        return (own,)
+    group = np.unique(whiten.group, return_inverse=True)[1]
+    common = np.where(shared, group.ravel(), len(rows) + np.arange(len(rows)))
+    return own, replace(own, sigma=np.where(shared, whiten.sigma_reference, whiten.sigma), common=common)
 
 
 def _with_whole_groups(stretch: IntArray, group: IntArray) -> IntArray:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..effects import find_effect
+from ..effects import absent, find_effect, known_effects
 from ..effects.scene import Scene
 from ..model import GEOMETRIC, Estimate, Term, regressors, total_displacement
 from ..session.data import Session
@@ -71,7 +71,8 @@ def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observ
     own = geometry.effect.parameters(scene)
     names = [p.name for p in own]
     first = len(scale) - len(names)
-    excess = _excess(R, len(b))
+    springs = [observation.whiten(observation.of(c)).reshape(len(b), -1) for c in _springs(scene)]
+    excess = _excess(np.asarray(np.linalg.qr(np.column_stack([A, *springs, b]), mode="r")), len(b))
     R = R[:, :-1]
     norm = np.linalg.norm(R, axis=0)
     left = R.copy()
@@ -90,6 +91,20 @@ def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observ
             left = left - np.outer(u, u @ left)
             chosen.append(j)
     return {names[j - first] for j in chosen if j >= first}
+
+
+def _springs(scene: Scene) -> list[Array]:
+    """Columns of springs that a robot and what it stands on may have, (n, 3, p) each, in units of their scale.
+
+    How far they sag is no noise, whether a model has them yet or not.
+    """
+    out = []
+    for effect in known_effects().values():
+        own = effect.parameters(scene) if effect.elastic and not effect.completes and not absent(scene, effect.needs) else ()
+        if own and not any(p.grid for p in own):
+            (columns,) = regressors([Term(effect)], scene)
+            out.append(columns * np.array([p.scale for p in own]))
+    return out
 
 
 def _as_modelled(scene: Scene) -> Scene:
@@ -203,53 +218,6 @@ def noted(observation: Observation, note: str) -> Observation:
     """The observation with a note for the user on its session."""
     session: Session = observation.session
     return replace(observation, session=replace(session, notes=(*session.notes, note)))
-
-
-def by_marker(observation: Observation, residual: Array) -> Observation:
-    """The observation with the rows of each marker weighted by how well it fits, and with what the markers of a pose share.
-
-    Markers on the base see the tracker's noise, those on the tool also whatever the model of the robot lacks, which all markers
-    of a pose have in common. Only the pattern is taken from the residual; the overall level stays what the session states.
-
-    Args:
-        residual: of a fit, (m, 3), m.
-    """
-    session, w = observation.session, observation.whiten
-    marker, moving = session.marker[observation.rows], observation.scene.moves_with_arm[observation.rows]
-    if len(np.unique(marker)) < 2:
-        return observation
-    _, pose = np.unique(observation.pose, return_inverse=True)
-    count = np.bincount(pose, moving)
-    mean = np.stack([np.bincount(pose, moving * residual[:, a]) for a in range(3)], axis=1) / np.maximum(count, 1.0)[:, None]
-    several = count > 1.5
-    inner = np.where((moving & several[pose])[:, None], residual - mean[pose], residual)
-    inner[moving & several[pose]] *= np.sqrt(count / np.maximum(count - 1.0, 1.0))[pose[moving & several[pose]], None]
-    own = np.empty(len(residual))
-    sizes = {}
-    for m in np.unique(marker):
-        mine = marker == m
-        if mine.sum() < ABSOLUTE.fewest_of_marker:
-            return observation
-        sizes[session.markers[m].name] = size = _spread(inner[mine])
-        own[mine] = size * w.sigma[mine] / np.median(w.sigma[mine])
-    shared = 0.0
-    if several.any():
-        by_chance = np.bincount(pose, moving * own**2)[several] / count[several] ** 2
-        shared = float(np.sqrt(max(_spread(mean[several]) ** 2 - float(np.median(by_chance)), 0.0)))
-    together = moving & several[pose]
-    reference = np.where(together, shared, 0.0)
-    level = w.floor / np.sqrt(3.0 * np.mean(own**2 + reference**2))
-    group = np.where(together, pose, len(count) + np.arange(len(pose)))
-    changed = replace(w, sigma=level * own, sigma_reference=level * reference, group=group)
-    words = ", ".join(f"{n} {1e6 * v:.0f}" for n, v in sizes.items())
-    common = f"; what the markers of a pose share: {1e6 * shared:.0f} um" if several.any() else ""
-    note = f"residual by marker, um per coordinate: {words}{common}; rows are weighted by these"
-    return noted(replace(observation, whiten=changed), note)
-
-
-def _spread(values: Array) -> float:
-    """Robust standard deviation per coordinate."""
-    return max(float(np.median(np.abs(values))) / 0.6745, 1e-9)
 
 
 def with_better_joints(session: Session) -> Session:

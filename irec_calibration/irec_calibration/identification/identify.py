@@ -18,9 +18,10 @@ from ..effects.scales import rated_torque, rating_known
 from ..model import EIGHTEEN_DOF, Combination, Term, blank_model, elastic_response, total_displacement
 from ..session.data import Session
 from ..typing import Array, BoolArray
-from .absolute import base_terms, by_marker, completed, near_pairs, noted, repeating, with_better_joints
+from .absolute import base_terms, completed, near_pairs, noted, repeating, with_better_joints
 from .gauss_newton import fitted
 from .identifiability import identifiability
+from .marker_noise import by_marker
 from .observe import Observation, observe
 from .outliers import again, treated
 from .system import System, linearise

@@ -38,6 +38,8 @@ class Wander:
         stamp: of each row, (m,), s.
         stretch: rows with the same number may be correlated, (m,); between stretches correlation is neglected.
         sigma: standard deviation per coordinate of which the share is, (m,), m.
+        common: rows with the same number share that noise, (m,): it is what the markers of a pose have in common; None: each has
+            its own.
         stamp_reference, sigma_reference: of the reference that a row is the difference from; None: rows are no differences.
     """
 
@@ -48,14 +50,14 @@ class Wander:
     sigma: Array
     stamp_reference: Array | None = None
     sigma_reference: Array | None = None
+    common: IntArray | None = None
 
     def only(self, keep: BoolArray | IntArray) -> Wander:
+        common = None if self.common is None else self.common[keep]
+        one = replace(self, stamp=self.stamp[keep], stretch=self.stretch[keep], sigma=self.sigma[keep], common=common)
         if self.stamp_reference is None or self.sigma_reference is None:
-            return replace(self, stamp=self.stamp[keep], stretch=self.stretch[keep], sigma=self.sigma[keep])
-        return replace(
-            self, stamp=self.stamp[keep], stretch=self.stretch[keep], sigma=self.sigma[keep],
-            stamp_reference=self.stamp_reference[keep], sigma_reference=self.sigma_reference[keep],
-        )  # fmt: skip
+            return one
+        return replace(one, stamp_reference=self.stamp_reference[keep], sigma_reference=self.sigma_reference[keep])
 
     def scaled(self, factor: float) -> Wander:
         reference = None if self.sigma_reference is None else self.sigma_reference * factor
@@ -71,8 +73,9 @@ class Wander:
     def excess(self, index: IntArray) -> Array:
         """Covariance of stretches of s rows each, (k, s), less that of noise that doesn't wander, (k, s, s), m^2."""
         own, t = self.sigma[index], self.stamp[index]
-        slow = own[:, :, None] * own[:, None, :] * self._alike(t[:, :, None] - t[:, None, :])
-        slow -= own[:, :, None] ** 2 * np.eye(index.shape[1])
+        both = own[:, :, None] * own[:, None, :]
+        alike = np.arange(index.shape[1]) if self.common is None else self.common[index]
+        slow = both * (self._alike(t[:, :, None] - t[:, None, :]) - (alike[..., :, None] == alike[..., None, :]))
         if self.stamp_reference is not None and self.sigma_reference is not None:
             to_reference = own * self.sigma_reference[index] * self._alike(t - self.stamp_reference[index])
             slow = slow - to_reference[:, :, None] - to_reference[:, None, :]

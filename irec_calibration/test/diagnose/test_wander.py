@@ -8,6 +8,7 @@ import pytest
 from absolute_sessions import session
 from irec_calibration.diagnose import diagnose
 from irec_calibration.diagnose.wander import wandering
+from irec_calibration.identification.marker_noise import by_marker
 from irec_calibration.identification.noise import Wander, Whitening
 from irec_calibration.identification.observe import observe
 from irec_calibration.session import Marker, Noise, Session
@@ -56,6 +57,34 @@ def test_correlated_noise_is_whitened_across_groups_that_share_more() -> None:
     np.testing.assert_allclose(covariance, np.eye(n), atol=0.03)
     np.testing.assert_allclose(whiten.undo(white), noise, atol=1e-12)
     np.testing.assert_allclose(whiten.scaled(2.0)(noise), white / 2.0, atol=1e-9)
+
+
+def test_what_the_markers_of_a_pose_have_in_common_is_whitened_where_it_wanders() -> None:
+    rng = np.random.default_rng(1)
+    n, draws = 12, 20000
+    stamp, group = np.repeat(np.arange(n / 2) * 7.0, 2), np.repeat(np.arange(n // 2), 2)
+    sigma, shared = rng.uniform(1e-5, 3e-5, n), np.full(n, 2.5e-5)
+    wander = Wander(0.7, 20.0, stamp, np.zeros(n, dtype=np.int64), shared, common=group)
+    whiten = Whitening(sigma, shared, group, wander=wander)
+    slow = np.stack([course(stamp, i, 20.0) for i in range(draws)], axis=2)
+    once = rng.standard_normal((n // 2, 3, draws))[group]
+    own = sigma[:, None, None] * rng.standard_normal((n, 3, draws))
+    white = whiten(own + shared[:, None, None] * (np.sqrt(0.7) * slow + np.sqrt(0.3) * once))
+    covariance = np.einsum("iad,jad->ij", white, white) / (3 * draws)
+    np.testing.assert_allclose(covariance, np.eye(n), atol=0.03)
+
+
+def test_noise_that_wanders_is_found_in_what_several_markers_have_in_common() -> None:
+    rng = np.random.default_rng(3)
+    markers = tuple(Marker(n, "tool0", (0.1 * i, -0.02, 0.1), known=False) for i, n in enumerate("ABC"))
+    plain = observe(session(poses=100, noise=NOISE, markers=markers))
+    stamp = plain.session.stamp[plain.rows]
+    noise = SIZE * course(stamp, 5) + NOISE.tracker_m * rng.standard_normal((len(stamp), 3))
+    wander = wandering(by_marker(plain, noise), noise).whiten.wander
+    assert wander is not None
+    assert wander.common is not None
+    assert wander.share > 0.8  # truly 1
+    assert 12.0 <= wander.time <= 75.0  # truly 40
 
 
 def test_the_size_of_noise_that_wanders_is_what_is_left_in_differences() -> None:
