@@ -8,12 +8,15 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
+from .scales import TWIST_UNDER_OWN_WEIGHT
 from .scene import Scene
 from .traits import Ageing, Family
 
 AXES = ("x", "y", "z")
 # Of a base that has come loose, which a check over the years must find: 8 % of the deflection of a 120 kg robot on its rail.
 LOOSE_TRANSLATION, LOOSE_ROTATION = 3.0e-9, 3.0e-8  # m/N, rad/(N m)
+ROTATION, SOFTEST_ROTATION = 2e-8, 2e-6  # rad/(N m); of the base of a heavy robot, and the largest that is physically likely
+TILT_UNDER_OWN_WEIGHT = 2e-4  # rad; ROTATION under the 10 kN m of a heavy robot with its payload
 LOOK = "check the bolts of the base, the pedestal and the floor"
 
 
@@ -29,6 +32,17 @@ def base_spring_regressor(scene: Scene) -> Array:
     return out
 
 
+def _rotation(scene: Scene) -> tuple[float, float]:
+    """Typical and largest likely compliance against rotation, rad/(N m).
+
+    A light robot stands on what is lighter too. How far it tilts under its own weight, which an absolute session sees, is alike.
+    """
+    if scene.kind != "absolute":
+        return ROTATION, SOFTEST_ROTATION
+    moment = max(scene.gravity.largest_at_base, TILT_UNDER_OWN_WEIGHT / SOFTEST_ROTATION)
+    return max(ROTATION, TILT_UNDER_OWN_WEIGHT / moment), max(SOFTEST_ROTATION, TWIST_UNDER_OWN_WEIGHT / moment)
+
+
 class BaseCompliance(Effect):
     id = "base_compliance"
     label = "base compliance"
@@ -42,9 +56,10 @@ class BaseCompliance(Effect):
     needs = ("load",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        scale, limit = _rotation(scene)
         return tuple(
             Parameter(f"t_{a}", "m/N", 1e-8, lower=0.0, plausible=(0.0, 1e-6), group="translation") for a in AXES
-        ) + tuple(Parameter(f"r_{a}", "rad/(N m)", 2e-8, lower=0.0, plausible=(0.0, 2e-6), group="rotation") for a in AXES)
+        ) + tuple(Parameter(f"r_{a}", "rad/(N m)", scale, lower=0.0, plausible=(0.0, limit), group="rotation") for a in AXES)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         return base_spring_regressor(scene)

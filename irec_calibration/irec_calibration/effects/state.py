@@ -193,6 +193,11 @@ class Gravity:
         return _fixed(np.abs(self.tau_virtual).max(axis=0, initial=0.0))
 
     @cached_property
+    def largest_at_base(self) -> float:
+        """The largest moment about base_link, N m."""
+        return float(np.linalg.norm(self.wrench_at_base[1], axis=1).max(initial=0.0))
+
+    @cached_property
     def tau_virtual(self) -> Array:
         """Torque about each virtual axis, (n, 2k), N m."""
         _, moment = self._by_joint

@@ -11,6 +11,9 @@ from .scene import Scene
 from .state import ElasticResponse
 from .traits import Cause, Family
 
+# Of readings of positions: links are known to a millimetre in a metre, and a scale that is wrong by five times as much would make
+# all of them wrong alike, which poses hardly tell from it.
+LARGEST_OF_POSITIONS = 5e-3
 
 class TrackerScale(Effect):
     id = "tracker_scale"
@@ -27,7 +30,8 @@ class TrackerScale(Effect):
     in_readings = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        return (Parameter("s", "1", 0.01, -0.5, 0.5, plausible=(-0.1, 0.1)),)
+        limit = LARGEST_OF_POSITIONS if scene.kind == "absolute" else 0.1
+        return (Parameter("s", "1", 0.01, -0.5, 0.5, plausible=(-limit, limit)),)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.measured_from_station is None:
