@@ -16,6 +16,7 @@ from .study import Study
 DEGREE = 3  # of a curve over one variable
 TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment over which a play is taken up
 TYPICAL_DISPLACEMENT = 3e-5  # m; what a coefficient of 1 moves; the amplitude itself is inferred
+MOST_OF_GAIN = 0.3  # by which the gain of a force sensor changes up to its largest load: one that is worse is broken
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Direction:
 
     Attributes:
         words: along what; variables: what they depend on already; columns: (n, 3, d), m; axis: the one that they turn, if one;
-            law_of, is_tilt, by_step, is_drift: see `Structure`.
+            law_of, is_tilt, by_step, is_drift: see `Structure`; largest: amplitude that can be, in units of the columns.
     """
 
     words: str
@@ -35,6 +36,7 @@ class Direction:
     is_tilt: bool = False
     by_step: bool = False
     is_drift: bool = False
+    largest: float = np.inf
 
 
 def varying(study: Study) -> dict[str, Array]:
@@ -80,6 +82,11 @@ def _scaled(columns: Array, rows: IntArray) -> Array:
     """Columns (n, 3, d) scaled so that their largest typical displacement in the rows is the typical one."""
     size = np.sqrt((columns[rows] ** 2).sum(axis=1).mean(axis=0)).max(initial=0.0)
     return columns * (TYPICAL_DISPLACEMENT / max(float(size), 1e-300))
+
+
+def _times(columns: Array, scaled: Array) -> float:
+    """What one unit of columns is in units of scaled ones."""
+    return float(np.abs(columns).max() / max(float(np.abs(scaled).max()), 1e-300))
 
 
 def _under_load(scene: Scene) -> Array:
@@ -213,8 +220,12 @@ def plain(study: Study) -> Iterator[Direction]:
     beside = np.stack([np.einsum("nij,nj->ni", by_torque, np.cross(e, scene.force_in_tool)) for e in np.eye(3)], axis=2)
     yield Direction("as if the force acted beside the TCP", ("load_case", f"tau_{scene.n_joints}"), _scaled(beside, rows))
     # with load cases of one size each this passes for different gains of the components, and those for this
-    bent = scene.response.compliance[:, :, :3] * (scene.force_in_tool * np.abs(scene.force_in_tool))[:, None, :]
-    yield Direction("as if the gain of the force sensor changed with the load", ("force_z", "load_case"), _scaled(bent, rows))
+    largest = np.maximum(np.abs(scene.force_in_tool[rows]).max(axis=0, initial=0.0), 1e-9)
+    change = scene.force_in_tool * np.abs(scene.force_in_tool) / largest  # of a gain that is wrong by 1 at the largest load
+    bent = scene.response.compliance[:, :, :3] * change[:, None, :]
+    words, scaled = "as if the gain of the force sensor changed with the load", _scaled(bent, rows)
+    # else one that doubles the force passes for a sensor that is mounted turned
+    yield Direction(words, ("force_z", "load_case"), scaled, largest=MOST_OF_GAIN * _times(bent, scaled))
     on = _under_load(scene)
     yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)

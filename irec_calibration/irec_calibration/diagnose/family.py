@@ -40,6 +40,7 @@ class Structure:
         is_tilt: a link tilts across its axis: seldom, and hardly told from a law of an axis that is parallel to that.
         by_step: it turns the axis by the step just made, whatever the law: what effects of history are special forms of.
         is_drift: it follows time or a temperature whatever the force, wherever it acts: what a drift may also be.
+        largest: amplitude of its coefficients' prior that can be.
         is_bad_row: it moves a single row, a single reference or a single pose, or the reflector from some row on: bad readings,
             no cause; rows: of the session, where they are single ones.
     """
@@ -55,6 +56,7 @@ class Structure:
     rows: tuple[int, ...] = ()
     by_step: bool = False
     is_drift: bool = False
+    largest: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -115,8 +117,10 @@ class Family:
             grown = 1.0 + a2 * values
             loss = ground.loss - (a2 * w2 / grown).sum(axis=2)
             all_of = ground.fit_gain(loss) - 0.5 * np.log(grown).sum(axis=2)
+            can_be = AMPLITUDES[:, None] <= np.maximum([self.structures[i].largest for i in places], AMPLITUDES[0])
+            all_of[~can_be] = -np.inf
             top = all_of.max(axis=0)
-            gain[places] = top + np.log(np.exp(all_of - top).mean(axis=0))
+            gain[places] = top + np.log(np.exp(all_of - top).sum(axis=0) / can_be.sum(axis=0))
             amplitude[places] = AMPLITUDES[all_of.argmax(axis=0)]
         return gain, amplitude
 
@@ -141,7 +145,7 @@ def family_of(study: Study) -> Family:
                 structures.append(
                     Structure(
                         d.variables, d.words, place, len(kind), d.axis, d.law_of, d.is_tilt, by_step=d.by_step,
-                        is_drift=d.is_drift,
+                        is_drift=d.is_drift, largest=d.largest,
                     )
                 )  # fmt: skip
                 columns.append(own)

@@ -230,3 +230,17 @@ def test_parts_of_an_effect_are_weighed_about_the_model_that_has_it() -> None:
     np.testing.assert_array_equal(rest.bench.b, whole.bench.b)
     # what the effect explains is still on the right side
     assert rest.bench.posterior(rest.base).chi2 > 2.0 * whole.bench.posterior(whole.base).chi2
+
+
+def test_a_structure_explains_nothing_by_an_amplitude_that_cannot_be() -> None:
+    read = synthetic.session(poses=12, seed=2)
+    read = replace(read, force_in_tool=read.force_in_tool / (1.0 + np.abs(read.force_in_tool) / 300.0))
+    found = prepare(read, start_terms(read))
+    family, ground = family_of(found), Ground(found.bench, found.base)
+    at = next(i for i, s in enumerate(family.structures) if "gain of the force sensor" in s.words)
+    gains, amplitude = family.gains(ground)
+    assert 0.1 < amplitude[at] <= family.structures[at].largest < np.inf
+    least = replace(family, structures=tuple(replace(s, largest=0.1) for s in family.structures))
+    bounded, smaller = least.gains(ground)
+    assert smaller[at] == pytest.approx(0.1)
+    assert bounded[at] < gains[at] - 10.0
