@@ -63,10 +63,10 @@ def _beside_wander(first: Study, settings: Settings) -> tuple[Study, Remainder]:
             return first, grow(first.bench, family, first.base)
         study = study_of(observation, first.terms)
         return study, grow(study.bench, family_of(study), study.base)
-    first, beside = _beside_markers(first, beside, settings)
+    first, family, beside = _beside_markers(first, family, beside, settings)
     # over a whole session noise that wanders and smooth functions of time pass for each other: each way to see it is weighed
     # together with the remainder that it leaves
-    whole = grow(first.bench, family_in_view(first), first.base)
+    whole = grow(first.bench, family, first.base)
     best, most = (first, whole), _log_evidence(first, whole) + settings.nats_for_wander
     known: set[tuple[float, float, bool]] = set()
     residuals = [_left(Ground(first.bench, first.base), first), left_beside(first, beside), left_beside(first, whole)]
@@ -97,8 +97,8 @@ def family_in_view(study: Study) -> Family:
     return with_bad_rows(family, study, study.fit.residual, beside)
 
 
-def _beside_markers(study: Study, remainder: Remainder, settings: Settings) -> tuple[Study, Remainder]:
-    """A model under noise that is shared out among the markers by what it and its remainder leave, and that remainder.
+def _beside_markers(study: Study, family: Family, remainder: Remainder, settings: Settings) -> tuple[Study, Family, Remainder]:
+    """A model under noise that is shared out among the markers by what it and its remainder leave, its family and that remainder.
 
     What a model lacks shows in all markers of a pose alike. Shared out by the residual of the model alone, that would pass for
     noise that they have in common.
@@ -108,8 +108,9 @@ def _beside_markers(study: Study, remainder: Remainder, settings: Settings) -> t
         if likelier(again, study.observation, residual) <= settings.nats_for_wander:
             break
         study = study_of(again, study.terms)
-        remainder = grow(study.bench, family_in_view(study), study.base, without=_follows_time)
-    return study, remainder
+        family = family_in_view(study)
+        remainder = grow(study.bench, family, study.base, without=_follows_time)
+    return study, family, remainder
 
 
 def beside_markers(study: Study, remainder: Remainder) -> Observation:

@@ -64,7 +64,10 @@ def _possible(observation: Observation) -> tuple[Wander, ...]:
         return (own,)
     group = np.unique(whiten.group, return_inverse=True)[1]
     common = np.where(shared, group.ravel(), len(rows) + np.arange(len(rows)))
-    return own, replace(own, sigma=np.where(shared, whiten.sigma_reference, whiten.sigma), common=common)
+    together = replace(own, sigma=np.where(shared, whiten.sigma_reference, whiten.sigma), common=common)
+    order = np.lexsort((stamp, common))
+    at_once = np.all(np.diff(stamp[order])[np.diff(common[order]) == 0] == 0.0)
+    return (together,) if at_once else (own, together)
 
 
 def _with_whole_groups(stretch: IntArray, group: IntArray) -> IntArray:
