@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..effects import Cause, Effect
+from ..effects import Cause
 from ..effects import Family as Alike
 from ..effects.scene import Scene
 from ..model import Term
@@ -18,21 +18,19 @@ class Forms:
 
     Attributes:
         axes: general laws of the torque of these axes; tilts: links that tilt across their axis; drifts: what follows time or a
-            temperature whatever the force; steps: general laws of the step just made by these axes.
+            temperature whatever the force.
     """
 
     axes: frozenset[int] = frozenset()
     drifts: bool = False
     tilts: bool = False
-    steps: frozenset[int] = frozenset()
 
     def __bool__(self) -> bool:
-        return bool(self.axes) or self.drifts or self.tilts or bool(self.steps)
+        return bool(self.axes) or self.drifts or self.tilts
 
     def has(self, structure: Structure) -> bool:
         law = structure.law_of is not None and structure.law_of in self.axes
-        by_step = structure.by_step and structure.axis in self.steps
-        return law or by_step or (self.drifts and structure.is_drift) or (self.tilts and structure.is_tilt)
+        return law or (self.drifts and structure.is_drift) or (self.tilts and structure.is_tilt)
 
 
 NO_FORMS = Forms()
@@ -42,15 +40,10 @@ def forms_of(term: Term, scene: Scene) -> Forms:
     """Structures that an effect is a special form of."""
     if term.effect.cause is Cause.TIME and term.effect.family is Alike.TIME:
         return Forms(drifts=True)
+    if term.effect.family is not Alike.TORQUE_LAW:
+        return NO_FORMS
     own = term.effect.parameters(scene)
-    axes = frozenset(p.axis for p in own if p.axis is not None and p.name in term.estimates)
-    steps = axes if follows_step(term.effect, scene) else frozenset()
-    return Forms(axes if term.effect.family is Alike.TORQUE_LAW else frozenset(), steps=steps)
-
-
-def follows_step(effect: Effect, scene: Scene) -> bool:
-    """Whether an effect turns an axis by a law of the step just made: where no load acts, all that history leaves."""
-    return scene.kind == "absolute" and ("step" in effect.needs or "order" in effect.needs)
+    return Forms(frozenset(p.axis for p in own if p.axis is not None and p.name in term.estimates))
 
 
 def bends(term: Term, scene: Scene) -> frozenset[int]:

@@ -30,11 +30,6 @@ def on_a_soft_pedestal(s: Session, p: Array) -> Array:
     return np.asarray(SOFT(s, p) + effect.regressor(scene_of(s), theta) @ theta)
 
 
-def settles_slowly(s: Session, p: Array) -> Array:
-    step = np.diff(s.q[:, 2], prepend=s.q[0, 2])
-    return np.asarray(SOFT(s, p) + 1.5e-4 * step[:, None] * s.robot.kinematics(s.q).jacobian(p)[:, :, 2])
-
-
 def test_what_a_structure_is_said_to_bring_it_brings() -> None:
     made = session(poses=80, noise=NOISE, moved=SOFT)
     study = prepare(made, start_terms(made)).to_weigh
@@ -57,8 +52,3 @@ def test_a_reflector_that_is_seated_anew_stands_out_of_what_the_springs_leave() 
 def test_the_pedestal_of_a_light_robot_may_be_as_soft_as_that_robot_is_light() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=on_a_soft_pedestal)).verdict
     assert set(verdict.effects) == {"base_compliance", "joint_torsion"}, verdict.text
-
-
-def test_the_general_law_of_the_step_before_is_no_rival_of_what_is_a_form_of_it() -> None:
-    verdict = diagnose(session(poses=80, noise=NOISE, moved=settles_slowly)).verdict
-    assert set(verdict.effects) == {"joint_settling", "joint_torsion"}
