@@ -107,7 +107,7 @@ def codec_by_fresh_solves(system: System, data: PoseData, solver: str) -> tuple[
     n_v = round(len(data) / (70 / 30 + 1))
     E, C = [], []
     for first in cover(data.points, len(data)):
-        held = cover(data.points, n_v, first=int(first))
+        held = cover(data.points, n_v, first=np.array([first]))
         pool = np.setdiff1d(np.arange(len(data)), held)
         for j in range(1, len(pool) + 1):
             chosen = pool[cover(data.points[pool], j)]
