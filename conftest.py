@@ -28,7 +28,14 @@ hypothesis.settings.load_profile("irec")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip ROS tests, with the reason, where rclpy or the built messages are missing."""
+    """Skip ROS tests, with the reason, where rclpy or the built messages are missing.
+
+    Raises:
+        pytest.UsageError: a file whose tests start nodes does not say so itself; tools/test.sh would not run them.
+    """
+    for path in {item.path for item in items if "ros" in item.keywords}:
+        if "mark.ros" not in path.read_text(encoding="utf-8"):
+            raise pytest.UsageError(f"{path}: its tests start nodes; write pytest.mark.ros in it, tools/test.sh looks for that")
     if importlib.util.find_spec("rclpy") and importlib.util.find_spec("irec_msgs"):
         return
     skip = pytest.mark.skip(reason="rclpy or irec_msgs is missing: run `make test`")

@@ -54,7 +54,7 @@ def numbered(case: Case, processes: int = 1) -> list[Section]:
         tasks.append(partial(_poses, case))
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=die_with_parent) as pool:
         drawn = [future.result() for future in [pool.submit(task) for task in tasks]]
-    return sorted(chain(*drawn), key=lambda section: int("".join(re.findall(r"\d+", section.heading)[:1])))
+    return sorted(chain(*drawn), key=lambda section: int(re.sub(r"\D*(\d+).*", r"\1", section.heading)))
 
 
 def _poses(case: Case) -> list[Section]:

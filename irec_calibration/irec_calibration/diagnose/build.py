@@ -37,7 +37,7 @@ class Built:
         steps: the start and every model on the way, the last is the result; evidence: of the name that each step added.
         closest: the best name that was refused at the end, and why.
         rivals: added effect -> others that would do in its place, each with the odds against it in nats.
-        open: effects that can act on the session; refused: those fitted exactly on top of the final model, none of them named.
+        possible: effects that can act on the session; refused: of these, fitted exactly on top of the final model and not named.
     """
 
     start: Explanation
@@ -50,7 +50,7 @@ class Built:
     closest: Explanation | None = None
     reason: str = ""
     rivals: dict[str, tuple[tuple[str, float], ...]] = field(default_factory=dict)
-    open: tuple[Option, ...] = ()
+    possible: tuple[Option, ...] = ()
     refused: tuple[Explanation, ...] = ()
 
     @property

@@ -11,12 +11,12 @@ from numpy.polynomial import legendre
 
 from ..effects.scene import Scene
 from ..typing import Array, IntArray
+from .settings import SETTINGS
 from .study import Study
 
 DEGREE = 3  # of a curve over one variable
 TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment over which a play is taken up
 TYPICAL_DISPLACEMENT = 3e-5  # m; what a coefficient of 1 moves; the amplitude itself is inferred
-MOST_OF_GAIN = 0.3  # by which the gain of a force sensor changes up to its largest load: one that is worse is broken
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def plain(study: Study) -> Iterator[Direction]:
     bent = scene.response.compliance[:, :, :3] * change[:, None, :]
     words, scaled = "as if the gain of the force sensor changed with the load", _scaled(bent, rows)
     # else one that doubles the force passes for a sensor that is mounted turned
-    yield Direction(words, ("force_z", "load_case"), scaled, largest=MOST_OF_GAIN * _times(bent, scaled))
+    yield Direction(words, ("force_z", "load_case"), scaled, largest=SETTINGS.most_of_gain * _times(bent, scaled))
     on = _under_load(scene)
     yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)

@@ -26,6 +26,16 @@ class Validated:
     study: Study
     held_out: HeldOut
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """On the session, and on a fit that is not what it should be."""
+        fitted = self.study.fit
+        if fitted.converged:
+            return self.study.session.notes
+        effects = " + ".join(t.effect.id for t in fitted.terms)
+        note = f"the fit of {effects} did not reach a minimum of the true residual; its values are the best that it came by"
+        return (*self.study.session.notes, note)
+
 
 def held_out(study: Study, block: Block | None = None) -> HeldOut:
     """Held-out error of the model of a study, with further columns where given (a trial)."""
@@ -64,4 +74,4 @@ def solved(session: Session, terms: Sequence[Term]) -> tuple[Model, tuple[str, .
     whole = observe_with_force_noise(session, terms) if session.kind == "absolute" else study.observation
     if len(whole.rows) != len(study.observation.rows):  # models are compared on fewer poses than there are
         result = fit(study.terms, set_apart(whole, study.apart), prior_width=study.base.width)
-    return model_of(result, held_out=made.held_out), study.session.notes
+    return model_of(result, held_out=made.held_out), made.notes

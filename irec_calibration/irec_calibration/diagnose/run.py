@@ -135,7 +135,7 @@ def examine(
         where=where,
         next_measurements=planned,
         flexible_gain_m=assessment.flexible.gain_m,
-        notes=comparison.notes,
+        notes=tuple(dict.fromkeys((*comparison.notes, *first.notes, *shown.best.notes))),
         noise=assessment.noise,
         bad_rows=(*_left_out(session, study), *_weighed(assessment)),
         proposals=proposed,

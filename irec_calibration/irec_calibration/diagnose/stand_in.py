@@ -59,7 +59,7 @@ def stand_ins(
     current = built.final
     tried: Sequence[Explanation] = built.refused
     while current.remainder.structures and len(current.added) < settings.most_names:
-        tried = tried or step(built.start, current, built.open, built.family, None, check, settings)
+        tried = tried or step(built.start, current, built.possible, built.family, None, check, settings)
         found = _best(tried, current, out[-1].model if out else after, session, check, settings)
         if found is None:
             break

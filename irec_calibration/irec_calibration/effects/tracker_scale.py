@@ -11,9 +11,11 @@ from .scene import Scene
 from .state import ElasticResponse
 from .traits import Cause, Family
 
+LARGEST = 0.1  # share of the distance
 # Of readings of positions: links are known to a millimetre in a metre, and a scale that is wrong by five times as much would make
 # all of them wrong alike, which poses hardly tell from it.
-LARGEST_OF_POSITIONS = 5e-3
+LARGEST_OF_POSITIONS = 5e-3  # share of the distance
+
 
 class TrackerScale(Effect):
     id = "tracker_scale"
@@ -30,7 +32,7 @@ class TrackerScale(Effect):
     in_readings = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        limit = LARGEST_OF_POSITIONS if scene.kind == "absolute" else 0.1
+        limit = LARGEST_OF_POSITIONS if scene.kind == "absolute" else LARGEST
         return (Parameter("s", "1", 0.01, -0.5, 0.5, plausible=(-limit, limit)),)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,13 @@ def improved(folder) -> dict[str, Any]:
     """ladder.json and diagnosis.json of `irec improve`."""
     assert main(["improve", str(folder / "session"), "-o", str(folder / "improved"), "--json"]) == 0
     return {name: json.loads((folder / "improved" / f"{name}.json").read_text()) for name in ("ladder", "diagnosis")}
+
+
+def test_a_fit_that_stopped_short_of_a_minimum_is_told() -> None:
+    made = validated(session(play_of_axis_4), blank_model(EIGHTEEN_DOF))
+    assert made.notes == made.study.session.notes
+    short = replace(made, study=replace(made.study, fit=replace(made.study.fit, converged=False)))
+    assert "joint_torsion + link_bending did not reach a minimum" in short.notes[-1]
 
 
 @pytest.fixture(scope="module")
