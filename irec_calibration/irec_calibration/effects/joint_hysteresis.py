@@ -11,11 +11,14 @@ from .live import ColumnLaw, LeftOut, LiveForm, Tick, drives
 from .scales import largest_lag, rated_torque, typical_compliance
 from .scene import Scene
 from .traits import Family
+from .travel import travel_to_reference
 
 FRACTIONS_OF_RATED = (0.012, 0.03, 0.075)
 APART = 4.0  # factor between the thresholds of the sliders
 FREED = (0.0, 50.0, 250.0)
-SHAPE = 3  # parameters that enter nonlinearly, the last ones
+ARRIVED = (-0.5, 0.0, 0.5)
+TURNS = 0.01  # rad of travel after which friction points against it
+SHAPE = 4  # parameters that enter nonlinearly, the last ones
 SLIDERS = ("h", "early", "late")  # of each axis, with thresholds r, r / APART, r APART
 
 
@@ -24,9 +27,10 @@ class JointHysteresis(Effect):
     label = "joint hysteresis"
     physics = (
         "Dry friction inside the gear holds back a part of the wind-up, up to a threshold of torque, until the torque "
-        "turns: -J_k sum_i h_ki stop_i(tau_k) (Prandtl-Ishlinskii, history within a pose from the relaxed reference on). Up to "
+        "turns: -J_k sum_i h_ki stop_i(tau_k) (Prandtl-Ishlinskii, history within a pose from the reference on). Up to "
         "three sliders per axis, with thresholds r / 4, r and 4 r, since teeth and seals give way one after the other; "
-        "motion of the joint frees what is held, by 1/e per 1 / freed. Missing, "
+        "motion of the joint frees what is held, by 1/e per 1 / freed. At the reference a share `arrived` of each threshold is "
+        "held in the direction from which the joint came. Missing, "
         "the same load reached from different sides disagrees; repeats reveal it. In absolute sessions the sign of the "
         "last step decides."
     )
@@ -57,6 +61,7 @@ class JointHysteresis(Effect):
             # models of before have three sliders of equal weight in the place of h where it is above 0
             Parameter("spread", "1", 1.0, 0.0, 2.0, start=0.0, grid=(0.0,)),
             Parameter("freed", "1/rad", 100.0, 0.0, 1e4, start=0.0, grid=FREED),
+            Parameter("arrived", "1", 1.0, -1.0, 1.0, start=0.0, grid=ARRIVED),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
@@ -70,7 +75,7 @@ class JointHysteresis(Effect):
         h, shape = theta[:-SHAPE], theta[-SHAPE:]
         columns = self._columns(scene, *shape)
         by_shape = np.zeros((len(scene), 3, SHAPE))
-        for i, step in ((0, 1e-4), (2, 1e-2)) if np.any(h) else ():  # spread is never moved
+        for i, step in ((0, 1e-4), (2, 1e-2), (3, 1e-2)) if np.any(h) else ():  # spread is never moved
             ahead, behind = shape.copy(), shape.copy()
             ahead[i] += step
             behind[i] -= step
@@ -82,13 +87,14 @@ class JointHysteresis(Effect):
         resolved = np.where(np.abs(scene.step) > 1e-4, np.sign(scene.step), 0.0)
         return (0.5 * scene.J * resolved[:, None, :])[:, :, scene.driven]
 
-    def _columns(self, scene: Scene, fraction: float, spread: float, freed: float) -> Array:
+    def _columns(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> Array:
         """Displacement per unit of each slider: minus the part of the torque that it holds (the stop operator)."""
         r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
         played = np.zeros((len(scene), len(r), scene.n_joints))
+        came = np.tanh(travel_to_reference(scene) / TURNS) if arrived else np.zeros_like(scene.q)
         for n, rows in enumerate(scene.rows.in_turn):
-            tau, last = scene.tau[rows][:, None], np.zeros(())
-            if n:  # relaxed at the reference: the operator starts in the middle of its band, at zero process torque
+            tau, last = scene.tau[rows][:, None], arrived * came[rows][:, None] * r
+            if n:
                 before = scene.previous[rows]
                 last = released(played[before], scene.tau[before][:, None], freed * scene.step[rows][:, None])
             played[rows] = np.clip(last, tau - r, tau + r)
@@ -106,7 +112,7 @@ class _Friction(ColumnLaw):
         self.columns = drives(scene.n_joints)
         self._h = np.zeros((len(SLIDERS), scene.n_joints))
         self._h[:, scene.driven] = theta[:-SHAPE].reshape(len(SLIDERS), -1)
-        fraction, spread, self._freed = (float(v) for v in theta[-SHAPE:])
+        fraction, spread, self._freed, _ = (float(v) for v in theta[-SHAPE:])  # here a course begins with nothing held
         self._r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
         self.reset()
 

@@ -9,6 +9,7 @@ from ..typing import Array
 from .base import Effect, Parameter
 from .scene import Scene
 from .traits import Cause, Family
+from .travel import travel_to_reference
 
 
 class JointSettling(Effect):
@@ -47,13 +48,3 @@ class JointSettling(Effect):
         if scene.kind == "loaded" and theta[-1] >= 0.5:
             step = step + travel_to_reference(scene)
         return (scene.J * step[:, None, :])[:, :, scene.driven]
-
-
-def travel_to_reference(scene: Scene) -> Array:
-    """Joint motion from the pose before to the reference of each pose, in its reference row, (n, k), rad; 0 elsewhere."""
-    out = np.zeros_like(scene.q)
-    order = np.lexsort((scene.load_case, scene.stamp))
-    for before, now in zip(order[:-1], order[1:], strict=True):
-        if scene.load_case[now] == 0:
-            out[now] = scene.q[now] - scene.q[before]
-    return out

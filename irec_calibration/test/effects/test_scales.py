@@ -80,6 +80,20 @@ def test_motion_of_a_joint_frees_what_its_friction_holds():
     np.testing.assert_allclose(held, freed, atol=1e-15)
 
 
+def test_friction_at_a_reference_points_to_where_the_joint_came_from():
+    scene = scene_of(session(4, seed=1))
+    references = np.flatnonzero(scene.load_case == 0)
+    loaded = scene.rows.under_load[:, None]
+    scene = scene.with_wrench(scene.force_in_tool * loaded, scene.torque_in_tool * loaded)
+    relaxed, held, turned = (_hysteresis(scene, r=0.03, h=1e-7, arrived=a) for a in (0.0, 0.5, -0.5))
+    np.testing.assert_allclose(relaxed[references], 0.0, atol=1e-12)
+    np.testing.assert_allclose(held[references], -turned[references], atol=1e-12)
+    np.testing.assert_array_equal(held[references[0]], np.zeros(3))  # nothing is known of what was before the session
+    later = references[1:]
+    turns = 0.5 * 1e-7 * 0.03 * rated_torque(scene.robot) * np.tanh((scene.q[later] - scene.q[later - 1]) / 0.01)
+    np.testing.assert_allclose(held[later], np.einsum("nik,nk->ni", scene.J[later], turns), rtol=1e-6, atol=1e-12)
+
+
 def test_the_softest_place_of_a_rail_is_where_it_says():
     scene = scene_of(session(5, seed=1))
     along = np.linspace(-1.0, 2.0, len(scene))
