@@ -62,7 +62,9 @@ def in_words(ladder: Ladder) -> str:
     for r in ladder.rungs:
         lines.append(f"{r.title:40} {1e6 * r.cv_rms_m:12.1f} {1e6 * r.cv_rms_se_m:6.1f} {1e6 * r.fit_rms_m:8.1f}")
     lines.append(f"{'noise floor':40} {1e6 * ladder.noise_floor_m:12.1f}")
-    if not all(r.named for r in ladder.rungs):
+    if any(r.one_of for r in ladder.rungs):
+        lines.append("or: these data do not tell which it is; the model has the first")
+    if not all(r.named or r.one_of for r in ladder.rungs):
         lines.append("(no name): predicts structure that no effect can be named for; it is no diagnosis")
     lines.append(f"stopped: {ladder.stopped}")
     lines.append(textwrap.fill(f"estimator: {ESTIMATOR}", 100, subsequent_indent="  "))

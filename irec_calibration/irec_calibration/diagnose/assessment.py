@@ -137,6 +137,10 @@ def assess(
         status = "missing_effect"
     else:
         status = "unexplained" if evidence or one_of else "adequate"
+    if status == "unexplained" and not evidence:  # effects describe it, one of which it is
+        depends_on = _depends_on(built, start, flexible, sought=True)
+    else:
+        depends_on = _depends_on(built, final, flexible, sought="few_poses" in evidence) if evidence else ()
     remaining = _size(study, known, ground) if evidence and rest.structures else 0.0
     if "repeats" in evidence:  # they know what is missing, whether or not a structure describes it
         remaining = max(remaining, _beside_repeats(study, bare))
@@ -148,7 +152,7 @@ def assess(
     won = max(chi2[0] - chi2[1], 0.0)
     explained = float(won / max(won + chi2[1] - ground.chi2, 1e-9)) if final.added else float(weight)
     return Assessment(
-        built, status, tuple(names), tuple(one_of), study, rest, _depends_on(built, final, evidence, flexible), tuple(evidence),
+        built, status, tuple(names), tuple(one_of), study, rest, depends_on, tuple(evidence),
         float(remaining), _hidden(noise, len(study.bench.b), settings), explained, noise, bare, flexible, readings, base_cv,
         built.reason, asked, pruned.parts, pruned.other,
     )  # fmt: skip
@@ -246,18 +250,20 @@ def _hidden(noise: InferredNoise, equations: int, settings: Settings) -> float:
     return float(max(seen, np.sqrt(max(noise.inferred_m**2 - (0.5 * noise.claimed_m) ** 2, 0.0))))
 
 
-def _depends_on(built: Built, final: Explanation, evidence: list[str], flexible: Flexible) -> tuple[str, ...]:
-    """Variables of what is left, strongest first."""
-    if not evidence:
-        return ()
+def _depends_on(built: Built, one: Explanation, flexible: Flexible, *, sought: bool) -> tuple[str, ...]:
+    """Variables of what a model leaves, strongest first.
+
+    Args:
+        sought: those of the likeliest structures are told even where its remainder has none.
+    """
     out: list[str] = []
 
     def add(names: tuple[str, ...]) -> None:
         out.extend(n for n in names if n not in out)
 
-    parts = sorted(final.remainder.structures, key=lambda p: -p.log_evidence)
-    if parts or "few_poses" in evidence:
-        gains, _ = built.family.gains(Ground(final.study.bench, final.study.base))
+    parts = sorted(one.remainder.structures, key=lambda p: -p.log_evidence)
+    if parts or sought:
+        gains, _ = built.family.gains(Ground(one.study.bench, one.study.base))
         odds = gains - np.log([s.tried for s in built.family.structures])
         odds[[s.is_bad_row for s in built.family.structures]] = -np.inf
         for i in np.argsort(-odds)[:3]:

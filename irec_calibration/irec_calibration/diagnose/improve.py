@@ -37,7 +37,9 @@ class Rung:
         cv_rms_m, cv_rms_se_m: error on held-out poses and its standard error over poses; fit_rms_m: on the poses of the fit.
         log_evidence: for the addition.
         parts: of each effect that was added so far: which axes or directions the session proves.
-        named: the addition is a cause that the session shows; False: it predicts other poses and stands in for what has no name.
+        one_of: the addition and the effects that would do in its place, where the session does not tell which it is.
+        named: the addition is a cause that the session shows; False: it is one of several, or predicts other poses and stands in
+            for what has no name.
     """
 
     added: str
@@ -49,12 +51,15 @@ class Rung:
     model: Model
     parts: dict[str, Parts] = field(default_factory=dict)
     named: bool = True
+    one_of: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
         """The model in a table or under a figure: its effects, or what it has more than the one before."""
         if not self.added:
             return " + ".join(self.effects)
+        if self.one_of:
+            return f"+ {' or '.join(self.one_of)}"
         return f"+ {self.added}" if self.named else f"+ {self.added} (no name)"
 
 
@@ -84,6 +89,7 @@ class Ladder:
                 "log_evidence": r.log_evidence,
                 "parts": parts_json(r.parts),
                 "named": r.named,
+                "one_of": list(r.one_of),
             }
             for r in self.rungs
         ]
@@ -124,7 +130,9 @@ def improve(
         is_last = n == len(added.ids)
         one = (shown.without_form or shown.after) if is_last else validated(session, [*base, *added.added[:n]])
         evidence = assessment.built.evidence.get(effect, float("nan"))
-        rungs.append(_rung(one, effect, evidence, rungs[-1].model, assessment.parts if is_last else {}))
+        rung = _rung(one, effect, evidence, rungs[-1].model, assessment.parts if is_last else {})
+        one_of = next((s for s in assessment.one_of if s[0] == effect), ())
+        rungs.append(replace(rung, one_of=one_of, named=not one_of))
     if shown.without_form is not None:
         rungs.append(_rung(shown.after, "+".join(shown.form), shown.form_evidence, rungs[-1].model, assessment.parts))
     for extra in shown.stand_ins:

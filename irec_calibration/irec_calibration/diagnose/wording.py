@@ -55,6 +55,10 @@ def verdict_of(
     if assessment.status == "adequate":
         parts.append("Nothing shows any other cause than noise.")
     parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
+    evidence = assessment.evidence
+    if assessment.status == "unexplained" and not evidence:
+        evidence = ("held_out_structure",)  # what either effect describes, and needed to be taken in
+        parts.append(f"What is missing depends on {', '.join(assessment.depends_on)}.")
     parts += _rest(assessment)
     parts += _form(shown)
     parts += _stands_in(shown)
@@ -94,7 +98,7 @@ def verdict_of(
         explained=assessment.explained,
         confident=not any(rivals.values()),
         remaining_m=assessment.remaining_m,
-        evidence=assessment.evidence,
+        evidence=evidence,
         one_of=assessment.one_of,
         hidden_m=assessment.hidden_m,
         parts={i: p for i, p in assessment.parts.items() if i in assessment.names},

@@ -53,8 +53,8 @@ def write_ladder_report(
 
 def _verdict(ladder: Ladder) -> str:
     """What was added, and what of it is no diagnosis."""
-    named = [r for r in ladder.rungs[1:] if r.named]
-    others = [r for r in ladder.rungs if not r.named]
+    named = [r for r in ladder.rungs[1:] if r.named or r.one_of]
+    others = [r for r in ladder.rungs if not r.named and not r.one_of]
     first, last = ladder.rungs[0], ladder.rungs[-1]
     before = ladder.rungs[ladder.rungs.index(others[0]) - 1] if others else last
     if len(ladder.rungs) == 1:
@@ -63,6 +63,9 @@ def _verdict(ladder: Ladder) -> str:
     if named:
         errors = f"from {length(first.cv_rms_m)} to {length(before.cv_rms_m)}"
         said.append(f"Adding {_labels(named)} lowers the error on held-out poses {errors}.")
+    for r in named:
+        if r.one_of:
+            said.append(f"These data do not tell which it is, {' or '.join(find_effect(i).label for i in r.one_of)}.")
     if others:
         said.append(
             f"To predict what has no name the model has {_labels(others)}, which is no diagnosis: the error on held-out poses is"
@@ -83,7 +86,7 @@ def _picture(ladder: Ladder, folder: Path) -> Figure:
     picture = models.ladder([r.title for r in rungs], errors, ses, unsure, ladder.noise_floor_m, folder / "ladder.png")
     text = "Error on poses that the model was not fitted to, with its standard error over poses."
     if any(unsure):
-        text += " Hollow: with what predicts structure that has no name, and is no diagnosis."
+        text += " Hollow: with what is one of several, or predicts structure that has no name, and is no diagnosis."
     return Figure(picture, f"{text} Estimator: {ESTIMATOR}.")
 
 
@@ -94,7 +97,8 @@ def _ladder(ladder: Ladder) -> Section:
         term = next((t for t in r.model.terms if t.effect.id == r.added), None)
         values = "; ".join(f"{n} = {e}" for n, e in list(term.estimates.items())[:6]) if term else ""
         rows.append([r.title, f"{length(r.cv_rms_m)} +- {length(r.cv_rms_se_m)}", length(r.fit_rms_m), values])
-    physics = [f"{find_effect(r.added).label.capitalize()}: {find_effect(r.added).physics}" for r in rungs if r.added and r.named]
+    added = [find_effect(r.added) for r in rungs if r.added and (r.named or r.one_of)]
+    physics = [f"{effect.label.capitalize()}: {effect.physics}" for effect in added]
     return Section("What was added", physics, tables=[Table(["model", "held-out", "fit", "parameters added"], rows)])
 
 
