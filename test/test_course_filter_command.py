@@ -227,6 +227,37 @@ def test_courses_that_were_corrected_tell_the_same_where_their_offset_is_recorde
     assert float(np.abs(taps[1] - taps[0]).sum(axis=1).max()) < 0.35 * float(np.abs(taps[0]).sum(axis=1).max())
 
 
+def test_a_force_that_is_known_is_not_left_to_the_filter(
+    cell: Cell, bags: dict[str, list[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Here all of it is known: what passes the filter is noise, and no taps can do anything with that."""
+    n = round(16.0 * RATE)
+    t = np.arange(n) / RATE
+    profiles = []
+    for seed in (1, 2, 3):
+        known = (unsteady(seed, n) + np.array([60.0, -70.0, -850.0])) * ((t > 1.0) & (t < 15.0))[:, None]
+        table = np.column_stack([t, BEGIN + t[:, None] * TURN, known])
+        profiles.append(str(tmp_path / f"profile_{seed}.csv"))
+        header = ",".join(["stamp", *cell.robot.joint_names, "force_x", "force_y", "force_z"])
+        np.savetxt(profiles[-1], table, delimiter=",", header=header, comments="")
+    share = []
+    for extra in ([], ["--profile", *profiles, "--lead", str(LATE)]):
+        given = [*bags["model"], *bags["courses"], "--dry", *bags["dry"], "--delay", str(LATE), "--acceleration", "6"]
+        assert main(["course-filter", *given, *extra, "--postures", "1", "-o", str(tmp_path / "filter.csv"), "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        share.append(told["left_m"] / told["before_m"])
+    assert share[0] < 0.7 and share[1] > 0.95
+
+
+def test_crossed_taps_are_written_for_each_axis_from_each(bags: dict[str, list[str]], tmp_path: Path) -> None:
+    table = tmp_path / "filter.csv"
+    given = [*bags["model"], *bags["courses"], "--delay", str(LATE), "--acceleration", "6", "--postures", "1", "-o", str(table)]
+    assert main(["course-filter", *given, "--crossed", "--taps", "20"]) == 0
+    taps = read_taps(table).taps
+    assert taps.shape == (1, 20, 3, 3)
+    np.testing.assert_allclose(taps.sum(axis=1)[0], np.eye(3), atol=1e-8)
+
+
 def test_recordings_and_options_that_tell_no_filter_are_refused(
     cell: Cell, bags: dict[str, list[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -236,7 +267,9 @@ def test_recordings_and_options_that_tell_no_filter_are_refused(
         ([one], "give one of both"),
         ([one, *delay, "--swept", *bags["swept"]], "give one of both"),
         ([one, *delay, "--acceleration", "0"], "--acceleration is 0"),
-        ([one, *delay, "--dry", *bags["dry"]], "--dry names 3 recordings for 1 courses"),
+        ([one, *delay, "--dry", *bags["dry"]], "--dry names 3 files for 1 courses"),
+        ([one, *delay, "--profile", "a.csv", "b.csv"], "--profile names 2 files for 1 courses"),
+        ([one, *delay, "--lead", "0.03"], "--lead and --slack are about"),
         ([one, *delay, "--postures", "31"], "--postures is 31"),
         ([one, *delay, "--postures", "6"], "too few to learn"),
         ([one, *delay, "--tracker", "nothing"], "0 messages on 'nothing'"),

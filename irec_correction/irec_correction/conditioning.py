@@ -88,7 +88,8 @@ class FilterSettings:
         cutoff: of the low-pass, Hz, 0 for none; order.
         taps: of a designed filter in place of the low-pass (`irec filter`), newest sample first; (1.0,) for none.
         posture_taps: of one with other taps for each axis of the force and at each posture (`course_filter.learn`), in place of
-            `taps`: postures, taps, axes; postures: joint angles, rad.
+            `taps`: postures, taps, axes, and where axes answer one another, the axes that they are from; postures: joint angles,
+            rad.
     """
 
     rate: float = 250.0
@@ -99,7 +100,7 @@ class FilterSettings:
     cutoff: float = 40.0
     order: int = 2
     taps: Sequence[float] = (1.0,)
-    posture_taps: Sequence[Sequence[Sequence[float]]] = ()
+    posture_taps: Sequence[Sequence[Sequence[float | Sequence[float]]]] = ()
     postures: Sequence[Sequence[float]] = ()
 
     @property

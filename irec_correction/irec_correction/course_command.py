@@ -19,6 +19,7 @@ from .course_recordings import DIRECTIONS, RATE, Topics, read_part, read_sweep
 from .course_training import Answers, DrivenPart, driven_course
 from .deflection import Deflection
 from .fir import MOST, TapTable, write_taps
+from .preview import Preview, read_profile
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,12 +30,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "bag", type=Path, nargs="+", help="recordings of courses under the process, without correction or with their offset"
     )
     parser.add_argument("--dry", type=Path, nargs="+", default=[], metavar="BAG", help="the same courses without process")
+    parser.add_argument("--profile", type=Path, nargs="+", default=[], metavar="FILE", help="preview.file of each course")
+    parser.add_argument("--lead", type=float, default=0.0, help="as preview.lead, with --profile: s (default: 0)")
+    parser.add_argument("--slack", type=float, default=0.0, help="as preview.slack, with --profile: s (default: 0)")
     parser.add_argument("--swept", type=Path, nargs="+", default=[], metavar="BAG", help="offsets swept on the standing arm")
     parser.add_argument("--delay", type=float, help="s from an offset to its motion, where no offset was swept")
     parser.add_argument("--counts", choices=DIRECTIONS, default="across", help="direction of the deviation (default: across)")
     parser.add_argument("--postures", type=int, default=6, help="that have taps of their own, at most (default: 6)")
     parser.add_argument("--acceleration", type=float, default=0.5, help="limit of the offset: m/s^2 (default: 0.5)")
     parser.add_argument("--taps", type=int, default=60, help="samples that it looks back (default: 60)")
+    parser.add_argument("--crossed", action="store_true", help="each axis from all axes of the force, not from its own alone")
     parser.add_argument("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.81), help="in base_link: m/s^2")
     parser.add_argument("--spindle-speed", type=float, default=0.0, help="as filter.spindle_speed, 1/s; 0: none (default)")
     parser.add_argument("--harmonics", type=int, default=2, help="as filter.harmonics (default: 2)")
@@ -54,14 +59,14 @@ def run(args: argparse.Namespace) -> int:
     settings = FilterSettings(
         rate=RATE, spindle_speed=args.spindle_speed, harmonics=args.harmonics, notch_quality=args.notch_quality, cutoff=0.0
     )
-    stages, dry = make_filters(settings), [*args.dry, *[None] * len(args.bag)]
-    parts = [read_part(bag, cell, topics, args.counts, stages, one) for bag, one in zip(args.bag, dry, strict=False)]
+    stages, dry, known = make_filters(settings), args.dry or [None] * len(args.bag), _profiles(args, cell)
+    parts = [read_part(b, cell, topics, args.counts, stages, d, k) for b, d, k in zip(args.bag, dry, known, strict=True)]
     answers = _answers(args, cell, topics, parts)
     postures = spread_postures(np.concatenate([p.q[p.used] for p in parts]), args.postures)
     deflection = Deflection(model, cell.robot, tuple(args.gravity), cell.payload)
     courses = [driven_course(deflection, part, answers, postures, 1.0 / RATE) for part in parts]
     # a third of the limit, so that the limit itself acts rarely
-    found = learn(courses, RATE, args.acceleration / 3.0, args.taps)
+    found = learn(courses, RATE, args.acceleration / 3.0, args.taps, args.crossed)
     write_taps(args.output, TapTable(found.taps, postures, cell.robot.joint_names))
     _tell(args, found, len(parts), len(postures), sum(float(p.used.sum()) for p in parts) / RATE)
     return 0
@@ -74,12 +79,21 @@ def _check(args: argparse.Namespace) -> None:
     ):  # fmt: skip
         if not low <= value <= high:
             raise RecordingError(f"{name} is {value:g}; {low:g} .. {high:g} is possible")
-    if args.dry and len(args.dry) != len(args.bag):
-        raise RecordingError(f"--dry names {len(args.dry)} recordings for {len(args.bag)} courses; one for each, in their order")
+    for name, given in (("--dry", args.dry), ("--profile", args.profile)):
+        if given and len(given) != len(args.bag):
+            raise RecordingError(f"{name} names {len(given)} files for {len(args.bag)} courses; one for each, in their order")
+    if (args.lead or args.slack) and not args.profile:
+        raise RecordingError("--lead and --slack are about the force profiles of --profile; name one for each course")
     if bool(args.swept) == (args.delay is not None):
         raise RecordingError(
             "how the TCP answers an offset is told by --swept BAG... or by --delay (irec latency); give one of both"
         )
+
+
+def _profiles(args: argparse.Namespace, cell: Cell) -> list[Preview | None]:
+    """Of each course."""
+    read = [read_profile(file, cell.robot.joint_names) for file in args.profile]
+    return [Preview(one, args.lead, slack=args.slack) for one in read] or [None] * len(args.bag)
 
 
 def _answers(args: argparse.Namespace, cell: Cell, topics: Topics, parts: list[DrivenPart]) -> Answers:

@@ -18,8 +18,9 @@ from irec_calibration.sensors.structure import frequency_response
 from irec_calibration.typing import Array
 
 from .course_filter import impulse
-from .course_training import DrivenPart, passed
+from .course_training import DrivenPart, known_along, passed
 from .filters import Filter
+from .preview import Preview
 
 RATE = 250.0  # Hz
 BLOCK = 1000  # samples, over which the answer to an offset is averaged
@@ -41,8 +42,9 @@ class Topics:
 
 
 def read_part(
-    file: Path, cell: Cell, topics: Topics, direction: str, stages: Sequence[Filter], dry: Path | None = None
-) -> DrivenPart:
+    file: Path, cell: Cell, topics: Topics, direction: str, stages: Sequence[Filter], dry: Path | None = None,
+    preview: Preview | None = None,
+) -> DrivenPart:  # fmt: skip
     """A course under the process; its deviation is the marker's from where the controller has it, less that of the dry course.
 
     Where an offset was sent (recorded on the topic of the offset), the deviation is the marker's from where the dry course had
@@ -51,6 +53,7 @@ def read_part(
     Args:
         direction: that counts: along the path, across it, or normal to it (tool z). stages: of the wrench before the filter.
         dry: the same course without process; None: what the robot misses its path by is left to a constant and a slope.
+        preview: of the course's force profile, without filters, where the correction will have one.
 
     Raises:
         RecordingError: a topic or a joint is missing, the tool is not in contact for long enough, or an offset was sent and no
@@ -67,17 +70,20 @@ def read_part(
             moved = moved + course.p - _at(course.share, other.share, other.p)
     elif offset is not None:
         raise RecordingError(f"{file} was driven with correction; record the same course without process and name it with --dry")
+    q = _joints(file, course, cell)
+    known = known_along(preview, q, course.force, stages) if preview is not None else None
     for stage in stages:
         stage.reset()
     axis = course.path[:, :, DIRECTIONS.index(direction)]
     return DrivenPart(
-        _joints(file, course, cell),
+        q,
         passed(stages, course.force),
         moved,
         axis,
         _in_contact(file, course.force),
         _rail(course, cell),
         offset,
+        known,
     )
 
 

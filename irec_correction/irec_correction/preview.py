@@ -140,13 +140,19 @@ class Preview:
             return np.zeros(6)
         if reading is not None and self._slack > 0.0:
             self._move(reading)
-        now = self._expected(self.at - self.shift)
+        now, ahead = self.expected()
         seen = now
         for f in self._filters:
             if isinstance(f, Fir):
                 f.place(q)
             seen = f.step(seen)
-        return np.clip(self._expected(self.at - self.shift + self._ahead) - seen, -self._largest, self._largest)
+        return np.clip(ahead - seen, -self._largest, self._largest)
+
+    def expected(self) -> tuple[Array, Array]:
+        """Wrench of the profile where the robot is and `lead` later, (6,), N and N m; zeros where it is on no way."""
+        if self.at < 0:
+            return np.zeros(6), np.zeros(6)
+        return self._expected(self.at - self.shift), self._expected(self.at - self.shift + self._ahead)
 
     def _expected(self, x: float) -> Array:
         """The profile at a sample, between samples linear, (6,)."""

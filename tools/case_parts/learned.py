@@ -36,7 +36,8 @@ from .jobs import Case, filters_of, limits_of, stages_before
 
 SWEPT = (3.0, 28.0)  # Hz, in which responses are taken from sweeps
 BLOCK = 1000  # samples, over which they are averaged
-PLACES = (0.5, 0.15, 0.85)  # of the way, at which an offset is swept; the force at the first one only
+# of the way, at which an offset is swept on three courses; the force at the first one only. A level of roughing goes all round
+PLACES = {"afp": (0.5, 0.15, 0.85), "machining": (0.5, 0.1, 0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9)}
 
 
 def _longest(drive: Drive, rows: Array) -> int:
@@ -122,10 +123,11 @@ class Swept:
 
 
 def shaken_at(case: Case, ways: Ways, rows: Array, processes: int = 2) -> tuple[list[Shaken], Swept]:
-    """Shake the standing arm at nine postures of the training courses; recordings tap_k.mcap and shake_k.npz stay."""
+    """Shake the standing arm at postures of three training courses; recordings tap_k.mcap and shake_k.npz stay."""
     courses = rows[np.unique(np.linspace(0, len(rows) - 1, 3).astype(int))]
-    places = [(int(i), int(share * ways.driving[:, i].sum()), share) for share in PLACES for i in courses]
-    jobs = [(case, ways.q[step, i], float(ways.rail[i]), k + 1, share == PLACES[0]) for k, (i, step, share) in enumerate(places)]
+    shares = PLACES[case.name]
+    places = [(int(i), int(share * ways.driving[:, i].sum()), share) for share in shares for i in courses]
+    jobs = [(case, ways.q[step, i], float(ways.rail[i]), k + 1, share == shares[0]) for k, (i, step, share) in enumerate(places)]
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         files = list(pool.map(_shake, jobs))
     found, impulses = [], []
@@ -133,7 +135,7 @@ def shaken_at(case: Case, ways: Ways, rows: Array, processes: int = 2) -> tuple[
         data = np.load(table)
         f, _, to_offset = frequency_response(data["sent"], data["moved"], 1.0 / PERIOD, BLOCK)
         impulses.append(impulse(f, to_offset, 1.0 / PERIOD))
-        if share != PLACES[0]:
+        if share != shares[0]:
             continue
         response, compliance = _response(
             case, ways.counts[step, i], *(data[name] for name in ("force", "motion", "sent", "moved"))

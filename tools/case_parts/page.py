@@ -13,6 +13,7 @@ from irec_sim.production.hard import Hard
 from irec_sim.production.runner import Drive
 
 from . import pictures
+from .axes_filter import BESIDE_PROFILE, CROSSED
 from .budget import Budget
 from .jobs import BRISK
 from .table import PAPER, Drawn, Figures, average, cuts_in_draws, reduction
@@ -227,8 +228,9 @@ def _learned(found: Found, folder: Path) -> Section:
         f"{1e3 * told['profile'].spread:.0f} ms (one standard deviation) sooner or later "
         f"from course to course; in each course it is moved by up to {1e3 * told['slack']:.0f} ms to where the readings have it. "
         f"{told['profile'].left:.0f} N RMS of the readings are not common to all courses.",
-        "Filter of each axis of the force: learnt from the training "
-        "courses that were driven without correction with the tracker on the tool, and from offsets swept at nine "
+        f"Filter of each axis of the force{', each from all three' if CROSSED[found.case] else ''}"
+        f"{', for what the force profile does not tell' if BESIDE_PROFILE[found.case] else ''}: learnt from the training courses "
+        f"that were driven without correction with the tracker on the tool, and from offsets swept at {told['swept']} "
         "postures. On these courses it leaves "
         f"{1e6 * told['own'].left:.1f} um RMS of the measured deviation, the unfiltered prediction "
         f"{1e6 * told['own'].before:.1f} um. Acceleration of the offset "
