@@ -14,11 +14,12 @@ from irec_calibration.model.file import check_belongs, load_model
 from irec_calibration.typing import Array
 
 from .conditioning import FilterSettings, make_filters
-from .course_filter import CourseFilter, impulse, learn, spread_postures
+from .course_filter import CourseFilter, learn, spread_postures
 from .course_recordings import DIRECTIONS, RATE, Topics, read_part, read_sweep
 from .course_training import Answers, DrivenPart, driven_course
 from .deflection import Deflection
 from .fir import MOST, TapTable, write_taps
+from .offset_answer import impulse
 from .preview import Preview, read_profile
 
 

@@ -17,9 +17,9 @@ from irec_calibration.sensors.course_recording import RecordedCourse, read_cours
 from irec_calibration.sensors.structure import frequency_response
 from irec_calibration.typing import Array
 
-from .course_filter import impulse
 from .course_training import DrivenPart, known_along, passed
 from .filters import Filter
+from .offset_answer import impulse
 from .preview import Preview
 
 RATE = 250.0  # Hz
@@ -188,7 +188,7 @@ def _in_contact(file: Path, force: Array) -> Array:
 
 
 def read_sweep(file: Path, cell: Cell, topics: Topics) -> tuple[Array, Array]:
-    """Posture (joints,), rad, and the answer of the TCP to an offset (`course_filter.impulse`), from an arm that stands.
+    """Posture (joints,), rad, and the answer of the TCP to an offset (`offset_answer.impulse`), from an arm that stands.
 
     Raises:
         RecordingError: a topic is missing, too short, an axis is not moved, or the arm does not stand.

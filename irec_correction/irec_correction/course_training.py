@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from irec_calibration.typing import Array
 
-from .course_filter import DrivenCourse, moved_by, moved_by_axes
+from .course_filter import DrivenCourse
 from .deflection import Deflection
 from .filters import Filter
 from .fir import nearness
+from .offset_answer import moved_by, moved_by_axes
 from .preview import Preview
 
 _APART = 50  # samples between two places at which the model is asked for its slopes
@@ -22,7 +23,7 @@ _STEP = 30.0  # N, by which the force is changed for that
 
 @dataclass(frozen=True)
 class Answers:
-    """Postures (m, joints), rad, and the answer of the TCP to an offset at each (`course_filter.impulse`)."""
+    """Postures (m, joints), rad, and the answer of the TCP to an offset at each (`offset_answer.impulse`)."""
 
     postures: Array
     impulses: Sequence[Array]

@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_correction.conditioning import FilterSettings, make_filters
-from irec_correction.course_filter import DrivenCourse, impulse, learn, moved_by, spread_postures
+from irec_correction.course_filter import DrivenCourse, learn, spread_postures
 from irec_correction.course_training import Answers, DrivenPart, Known, driven_course, known_along
 from irec_correction.errors import SettingsError
 from irec_correction.filters import low_pass
 from irec_correction.fir import Fir, TapTable, nearness, read_taps, write_taps
+from irec_correction.offset_answer import impulse, moved_by
 from irec_correction.preview import ForceProfile, Preview
 from scipy import signal
 

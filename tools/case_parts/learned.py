@@ -22,8 +22,8 @@ from irec_calibration.sensors.motion_recording import read_force_and_motion
 from irec_calibration.sensors.structure import Structure, frequency_response
 from irec_calibration.typing import Array
 from irec_correction.conditioning import make_filters
-from irec_correction.course_filter import impulse
 from irec_correction.filters import Filter
+from irec_correction.offset_answer import impulse
 from irec_sim.cellfile import read_cell
 from irec_sim.kinematics import forward
 from irec_sim.production.hard import read_hard
