@@ -80,6 +80,7 @@ class Deflection:
                     sensor = form if sensor is None else form.after(sensor)
                 case ColumnLaw():
                     laws.append(form)
+                    springs.append(form.springs)
                 case ElasticLaw():
                     self._follow.append(form)
                 case Pull():

@@ -46,7 +46,8 @@ class Parameter:
         axis: joint that the parameter belongs to, counted from 0; None: to none.
         first: where a session can't determine all parameters of the effect, those with `first` are chosen before the others.
         takes_from: compliance of an axis (`c_3`) that this parameter, 0 or less, takes away as the axis is loaded. The prior of
-            that compliance is meant for a loaded axis; beside this parameter it is as much wider as this one may be large.
+            that compliance is meant for a loaded axis; beside this parameter it is as much wider as this one may be large. What
+            refers to the springs (creep, hoses) refers to the loaded axis.
         goes_with: compliance (`c_2a`) that this parameter is proportional to; `width` is for one as soft as its scale, and the
             prior is as much wider or narrower as the session shows that compliance.
     """

@@ -8,7 +8,7 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .joint_backlash import WIDEST
-from .live import ColumnLaw, LiveForm, Tick, drives
+from .live import ColumnLaw, LiveForm, Springs, Tick, drives
 from .scales import rated_torque, typical_compliance
 from .scene import Scene
 from .traits import Family
@@ -85,8 +85,9 @@ class _Stiffening(ColumnLaw):
         self._a[scene.driven] = theta[:-2]
         self._x_0 = theta[-2] * rated_torque(scene.robot)
         self._s = np.arcsinh if theta[-1] >= 0.5 else np.tanh
+        self.springs = Springs(tuple((c, c, float(a)) for c, a in zip(self.columns, self._a, strict=True)))
 
     def displacement(self, tick: Tick, tau: Array) -> Array:
         x_0, preload = self._x_0, tick.tau_gravity
-        out: Array = self._a * (tau - x_0 * (self._s((tau + preload) / x_0) - self._s(preload / x_0)))
+        out: Array = -self._a * x_0 * (self._s((tau + preload) / x_0) - self._s(preload / x_0))
         return out

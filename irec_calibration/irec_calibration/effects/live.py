@@ -74,10 +74,12 @@ class ColumnLaw(ABC):
         columns: names of the columns, c of them.
         elastic: a spring (linear in the torque): part of the elastic response that creep and external forces refer to.
         needs_gravity: reads `tick.tau_gravity`.
+        springs: linear part of it, that is left out of `displacement`: part of the elastic response too.
     """
 
     columns: tuple[str, ...]
     elastic = False
+    springs = Springs(())
     needs_gravity = False
 
     def reset(self) -> None:

@@ -195,11 +195,27 @@ def displacement_of(term: Term, scene: Scene) -> Array:
     return displacement_at(term.effect, theta, scene) if is_kept(term.effect, scene) else term.effect.displacement(scene, theta)
 
 
+def loaded(terms: Sequence[Term], scene: Scene) -> list[Term]:
+    """The terms with the compliances of loaded axes: less what other terms take from them (`Parameter.takes_from`)."""
+    taken: dict[str, float] = {}
+    for term in terms:
+        for p in term.effect.parameters(scene):
+            if p.takes_from and p.name in term.estimates:
+                taken[p.takes_from] = taken.get(p.takes_from, 0.0) + term.estimates[p.name].value
+
+    def less(term: Term) -> Term:
+        changed = {n: replace(e, value=e.value + taken[n]) for n, e in term.estimates.items() if n in taken}
+        return replace(term, estimates={**term.estimates, **changed}) if changed else term
+
+    return [less(term) if term.effect.elastic else term for term in terms]
+
+
 def elastic_response(terms: Sequence[Term], scene: Scene) -> ElasticResponse:
-    """How the springs among the terms answer (they are linear in the wrench, and in where they are seen)."""
+    """How the springs among the terms answer (they are linear in the wrench, and in where they are seen), those of loaded axes:
+    what creeps or gives way to a hose is a gear whose teeth carry."""
     n = len(scene)
     u, rotation, compliance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 6))
-    for term in terms:
+    for term in loaded(terms, scene):
         if term.effect.elastic:
             one = response_of(term.effect, term.theta(term.effect.parameters(scene)), scene)
             u, rotation, compliance = u + one.displacement, rotation + one.rotation, compliance + one.compliance
@@ -239,6 +255,7 @@ def regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
     springs = [i for i, t in enumerate(terms) if t.effect.elastic and t.effect.acts_on != "wrench"]
     plain = {i: out[i] for i in springs}
     change: dict[int, ElasticResponse] = {}
+    takers = _takers(terms, springs, scene)
     for term in terms:
         if not term.effect.needs_elastic:
             continue
@@ -248,9 +265,20 @@ def regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
                 at = terms[i].theta(terms[i].effect.parameters(scene))
                 change[i] = by_parameters(terms[i].effect, at, ready, plain[i])
             more = term.effect.by_elastic(ready, theta, change[i])
-            if more is not None:
-                out[i] = out[i] + more
+            if more is None:
+                continue
+            out[i] = out[i] + more
+            for j, p, c in takers[i]:
+                out[j] = out[j].copy()
+                out[j][:, :, p] += more[:, :, c]
     return out
+
+
+def _takers(terms: Sequence[Term], springs: Sequence[int], scene: Scene) -> dict[int, list[tuple[int, int, int]]]:
+    """Of each spring the parameters that take from it: number of the term, of the parameter there, of that of the spring."""
+    own = [term.effect.parameters(scene) for term in terms]
+    takes = [(j, p, one.takes_from) for j, all_of in enumerate(own) for p, one in enumerate(all_of) if one.takes_from]
+    return {i: [(j, p, c) for j, p, name in takes for c, one in enumerate(own[i]) if one.name == name] for i in springs}
 
 
 def _wrench_regressor(terms: Sequence[Term], i: int, scene: Scene, parameters: Sequence[Parameter], theta: Array) -> Array:

@@ -12,6 +12,7 @@ from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from irec_calibration.model import Estimate, Term, elastic_response
+from irec_calibration.model.model import displacements, regressors, total_displacement
 from irec_calibration.model.springs import answer_of, displacement_at, is_kept, response_of
 from synthetic import session
 
@@ -74,3 +75,21 @@ def test_springs_that_bend_a_curve_and_large_scenes_are_asked_each_time(scene: S
     theta = values("joint_torsion", many)
     found = response_of(find_effect("joint_torsion"), theta, many)
     np.testing.assert_allclose(found.displacement, find_effect("joint_torsion").displacement(many, theta), atol=1e-15)
+
+
+def test_what_creeps_is_the_loaded_gear_where_stiffening_takes_from_its_spring(scene: Scene) -> None:
+    def model(c_3: float, a_3: float) -> list[Term]:
+        springs = Term(find_effect("joint_torsion"), {"c_3": Estimate(c_3)})
+        gear = {"a_3": Estimate(a_3), "x_0": Estimate(0.05), "slow": Estimate(0.0)}
+        creeps = {"share": Estimate(0.3), "T": Estimate(10.0), "memory": Estimate(0.0), "spread": Estimate(0.0)}
+        return [springs, Term(find_effect("joint_stiffening"), gear), Term(find_effect("creep"), creeps)]
+
+    soft, loaded = (displacements(model(*values), scene)["creep"] for values in ((5e-7, -3e-7), (2e-7, 0.0)))
+    np.testing.assert_allclose(soft, loaded, rtol=1e-9, atol=1e-15)
+    by_soft = regressors(model(5e-7, -3e-7), scene)
+    h = 1e-9
+    for term, name, changed in ((0, "c_3", (5e-7 + h, -3e-7)), (1, "a_3", (5e-7, -3e-7 + h))):
+        effect = model(0.0, 0.0)[term].effect
+        at = [p.name for p in effect.parameters(scene)].index(name)
+        moved = total_displacement(model(*changed), scene) - total_displacement(model(5e-7, -3e-7), scene)
+        np.testing.assert_allclose(by_soft[term][:, :, at], moved / h, rtol=1e-5, atol=1e-3 * np.abs(moved / h).max())
