@@ -25,7 +25,8 @@ class Direction:
 
     Attributes:
         words: along what; variables: what they depend on already; columns: (n, 3, d), m; axis: the one that they turn, if one;
-            law_of, is_tilt, by_step, is_drift: see `Structure`; largest: amplitude that can be, in units of the columns.
+            law_of, softer_by_angle, is_tilt, by_step, is_drift: see `Structure`; largest: amplitude that can be, in units of
+            the columns.
     """
 
     words: str
@@ -33,6 +34,7 @@ class Direction:
     columns: Array
     axis: int | None = None
     law_of: int | None = None
+    softer_by_angle: int | None = None
     is_tilt: bool = False
     by_step: bool = False
     is_drift: bool = False
@@ -78,7 +80,7 @@ def shapes(study: Study) -> dict[str, Array]:
     return out
 
 
-def _scaled(columns: Array, rows: IntArray) -> Array:
+def scaled(columns: Array, rows: IntArray) -> Array:
     """Columns (n, 3, d) scaled so that their largest typical displacement in the rows is the typical one."""
     size = np.sqrt((columns[rows] ** 2).sum(axis=1).mean(axis=0)).max(initial=0.0)
     return columns * (TYPICAL_DISPLACEMENT / max(float(size), 1e-300))
@@ -104,9 +106,9 @@ def directions(study: Study) -> Iterator[Direction]:
     tau = scene.load_torque()
     yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
-    yield Direction("along the elastic deflection", (), _scaled(scene.response.displacement[:, :, None] * on, rows))
-    yield Direction("as a force at the tool", (), _scaled(scene.response.compliance[:, :, :3] * on, rows))
-    angle = _scaled(scene.J * on, rows)
+    yield Direction("along the elastic deflection", (), scaled(scene.response.displacement[:, :, None] * on, rows))
+    yield Direction("as a force at the tool", (), scaled(scene.response.compliance[:, :, :3] * on, rows))
+    angle = scaled(scene.J * on, rows)
     size = np.maximum(np.sqrt((tau[rows] ** 2).mean(axis=0)), 1e-9)
     twist = angle * (tau / size)[:, None, :]
     yield Direction("turning the axes", (), angle)
@@ -124,20 +126,22 @@ def shaped(study: Study) -> Iterator[Direction]:
             columns = (d.columns[:, :, :, None] * shape[:, None, None, :]).reshape(len(shape), 3, -1)
             # an axis that its own torque turns by any curve: what stiffening, play and friction of that axis are forms of
             law_of = d.axis if d.axis is not None and name == f"tau_{d.axis + 1}" else None
-            yield Direction(d.words, (name, *(v for v in d.variables if v != name)), columns, d.axis, law_of)
+            by_angle = d.axis is not None and name == f"joint_{d.axis + 1}" and f"tau_{d.axis + 1}" in d.variables
+            variables = (name, *(v for v in d.variables if v != name))
+            yield Direction(d.words, variables, columns, d.axis, law_of, d.axis if by_angle else None)
 
 
 def two_variables(study: Study) -> Iterator[Direction]:
     """Functions of two variables that turn one axis: torque with its own angle, gravity, history, or another torque."""
     scene, rows = study.ready, study.observation.rows
-    angle = _scaled(scene.J * _under_load(scene), rows)
+    angle = scaled(scene.J * _under_load(scene), rows)
     tau = scene.load_torque()
     size = np.maximum(np.abs(tau[rows]).max(axis=0), 1e-9)
     t = tau / size
     q = scene.q
     has = scene.previous >= 0
     before = np.where(has[:, None], t[scene.previous], 0.0)
-    angle_free = _scaled(scene.J, rows)
+    angle_free = scaled(scene.J, rows)
     for k in range(scene.n_joints):
         if np.ptp(tau[rows, k]) <= 1e-6:
             continue
@@ -151,6 +155,7 @@ def two_variables(study: Study) -> Iterator[Direction]:
             (f"joint_{k + 1}", f"tau_{k + 1}"),
             own * (t[:, k : k + 1] * turn)[:, None, :],
             k,
+            softer_by_angle=k,
         )
         both = np.stack([t[:, k] ** 2, t[:, k] * np.abs(t[:, k]), t[:, k] ** 3], axis=1)
         with_angle = both * curve(q[:, k], q[rows, k], 1)
@@ -193,7 +198,7 @@ def tilts(study: Study) -> Iterator[Direction]:
     """A link that tilts across its axis by any curve of the moment about that direction: what a worn bearing does, for one."""
     scene, rows = study.ready, study.observation.rows
     on = _under_load(scene)
-    across, moment = _scaled(scene.V, rows), scene.load_torque_virtual()
+    across, moment = scaled(scene.V, rows), scene.load_torque_virtual()
     whole = moment + (scene.gravity.tau_virtual if scene.kind == "loaded" else 0.0)
     several = len(np.unique(scene.load_case[rows])) > 1
     for i in range(moment.shape[1]):
@@ -218,14 +223,14 @@ def plain(study: Study) -> Iterator[Direction]:
     scene, rows = study.ready, study.observation.rows
     by_torque = scene.response.compliance[:, :, 3:]
     beside = np.stack([np.einsum("nij,nj->ni", by_torque, np.cross(e, scene.force_in_tool)) for e in np.eye(3)], axis=2)
-    yield Direction("as if the force acted beside the TCP", ("load_case", f"tau_{scene.n_joints}"), _scaled(beside, rows))
+    yield Direction("as if the force acted beside the TCP", ("load_case", f"tau_{scene.n_joints}"), scaled(beside, rows))
     # with load cases of one size each this passes for different gains of the components, and those for this
     largest = np.maximum(np.abs(scene.force_in_tool[rows]).max(axis=0, initial=0.0), 1e-9)
     change = scene.force_in_tool * np.abs(scene.force_in_tool) / largest  # of a gain that is wrong by 1 at the largest load
     bent = scene.response.compliance[:, :, :3] * change[:, None, :]
-    words, scaled = "as if the gain of the force sensor changed with the load", _scaled(bent, rows)
+    words, bent_scaled = "as if the gain of the force sensor changed with the load", scaled(bent, rows)
     # else one that doubles the force passes for a sensor that is mounted turned
-    yield Direction(words, ("force_z", "load_case"), scaled, largest=SETTINGS.most_of_gain * _times(bent, scaled))
+    yield Direction(words, ("force_z", "load_case"), bent_scaled, largest=SETTINGS.most_of_gain * _times(bent, bent_scaled))
     on = _under_load(scene)
     yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
@@ -233,17 +238,17 @@ def plain(study: Study) -> Iterator[Direction]:
         has = scene.previous >= 0
         last = np.where(has[:, None], scene.force_in_tool[scene.previous], 0.0)
         memory = scene.response.compliance[:, :, :3] * last[:, None, :]
-        yield Direction("as if a share of the force before were still there", ("load_case",), _scaled(memory, rows))
+        yield Direction("as if a share of the force before were still there", ("load_case",), scaled(memory, rows))
         change = scene.force_in_tool - last
         lag = scene.response.compliance[:, :, :3] * np.abs(change)[:, None, :]
-        yield Direction("as if the change of the force were read wrongly", ("load_case",), _scaled(lag, rows))
+        yield Direction("as if the change of the force were read wrongly", ("load_case",), scaled(lag, rows))
     if scene.kind == "loaded" and scene.measured_from_station is not None:
         seen = scene.noise_free_from_station()
         sight = seen / np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-9)
         moved = seen - seen[scene.reference]
         along = np.einsum("ni,nj,nj->ni", sight, sight, moved)
         for words, part in (("along", along), ("across", moved - along)):
-            part = _scaled(part[:, :, None], rows)
+            part = scaled(part[:, :, None], rows)
             yield Direction(f"as if displacement {words} the line of sight were read wrongly", ("load_case",), part)
 
 
@@ -270,5 +275,5 @@ def drifts(study: Study) -> Iterator[Direction]:
         yield Direction(f"{name}: turning the axes", (name,), scene.J * course[:, None, None], is_drift=True)
         yield Direction(f"{name}: along the tool", (name,), scene.kin.R_tool * course[:, None, None], is_drift=True)
         # no form of what grows with warmth: the force sensor's zero drifts, or something pulls more and more
-        pulled = _scaled(scene.response.compliance[:, :, :3], loaded) * (course / TYPICAL_DISPLACEMENT)[:, None, None]
+        pulled = scaled(scene.response.compliance[:, :, :3], loaded) * (course / TYPICAL_DISPLACEMENT)[:, None, None]
         yield Direction(f"{name}: as a force at the tool", (name,), pulled)

@@ -16,6 +16,7 @@ import numpy as np
 from ..typing import Array, BoolArray
 from .directions import TYPICAL_DISPLACEMENT, drifts, plain, shaped, tilts, two_variables
 from .evidence import Block, Ground
+from .memories import memories
 from .study import Study
 
 AMPLITUDES = np.geomspace(0.1, 1000.0, 9)  # of the coefficients' prior, in units of the typical displacement
@@ -37,6 +38,7 @@ class Structure:
         tried: how many of its kind there are.
         axis: the only axis that it turns, counted from 0; None: it does something else.
         law_of: the axis whose law of torque it is, whatever the law's form: what effects of that family are special forms of.
+        softer_by_angle: the axis whose compliance goes with its own angle, whatever the form: what a balancer of it is a form of.
         is_tilt: a link tilts across its axis: seldom, and hardly told from a law of an axis that is parallel to that.
         by_step: it turns the axis by the step just made, whatever the law: what effects of history are special forms of.
         is_drift: it follows time or a temperature whatever the force, wherever it acts: what a drift may also be.
@@ -51,6 +53,7 @@ class Structure:
     tried: int
     axis: int | None = None
     law_of: int | None = None
+    softer_by_angle: int | None = None
     is_tilt: bool = False
     is_bad_row: bool = False
     rows: tuple[int, ...] = ()
@@ -130,7 +133,7 @@ def family_of(study: Study) -> Family:
     structures: list[Structure] = []
     columns: list[Array] = []
     at = 0
-    kinds = [list(f(study)) for f in (plain, drifts, two_variables, tilts, shaped)]
+    kinds = [list(f(study)) for f in (plain, memories, drifts, two_variables, tilts, shaped)]
     for kind in kinds:
         if not kind:
             continue
@@ -144,7 +147,7 @@ def family_of(study: Study) -> Family:
                 place = slice(at, at + own.shape[1])
                 structures.append(
                     Structure(
-                        d.variables, d.words, place, len(kind), d.axis, d.law_of, d.is_tilt, by_step=d.by_step,
+                        d.variables, d.words, place, len(kind), d.axis, d.law_of, d.softer_by_angle, d.is_tilt, by_step=d.by_step,
                         is_drift=d.is_drift, largest=d.largest,
                     )
                 )  # fmt: skip

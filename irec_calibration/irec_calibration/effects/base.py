@@ -110,6 +110,7 @@ class Effect(ABC):
             in every diagnosis, so that what it does passes for no other.
         obsolete: patterns of parameter names that models of an earlier form had; such a model is refused, not misread.
         compliance_of: its parameters are the compliances of these axes; None: they are something else.
+        by_angle: the compliance of its axes goes with their own angle, in one form of many.
         chosen_by_poses: in an absolute session it gets, without values, those parameters that the poses determine.
     """
 
@@ -128,6 +129,7 @@ class Effect(ABC):
     everywhere: ClassVar[bool] = False
     completes: ClassVar[str] = ""
     compliance_of: ClassVar[Axes | None] = None
+    by_angle: ClassVar[bool] = False
     chosen_by_poses: ClassVar[bool] = False
     obsolete: ClassVar[tuple[str, ...]] = ()
 

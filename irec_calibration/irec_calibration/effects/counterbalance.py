@@ -26,6 +26,7 @@ class Counterbalance(Effect):
         "J_2 (a sin q_2 + b cos q_2) tau_2. Missing, the compliance of axis 2 seems to vary with q_2."
     )
     family = Family.TORQUE_LAW
+    by_angle = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         if scene.n_joints <= AXIS or not scene.driven[AXIS]:

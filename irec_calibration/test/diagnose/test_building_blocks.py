@@ -118,6 +118,18 @@ def test_two_laws_bend_one_curve_where_they_share_an_axis_and_friction_bends_non
     assert bent_by_others(one, "joint_hysteresis") == frozenset()
 
 
+def test_a_compliance_that_goes_with_its_own_angle_is_a_form_of_a_balancer_and_of_no_gear() -> None:
+    found = study()
+    structures = [s for s in family_of(found).structures if s.softer_by_angle is not None]
+    assert {s.softer_by_angle for s in structures} == set(range(6))
+    assert any("over its turn" in s.words for s in structures) and any("over its turn" not in s.words for s in structures)
+    balancer = Term(find_effect("counterbalance"), {"a": Estimate(1e-8), "b": Estimate(0.0)})
+    by_balancer, by_gear = (forms_of(t, found.ready) for t in (balancer, law("joint_stiffening", (2,), x_0=0.1, slow=0.0)))
+    for s in structures:
+        assert by_balancer.has(s) == (s.softer_by_angle == 1)
+        assert not by_gear.has(s)
+
+
 def test_of_two_laws_of_one_axis_that_which_explains_more_by_itself_is_asked_first() -> None:
     found = study(play_of_axis_4)
     family = family_of(found)
