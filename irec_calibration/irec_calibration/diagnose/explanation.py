@@ -13,7 +13,7 @@ from .candidates import Trial, supported
 from .family import Family
 from .forms import NO_FORMS, Forms, bends
 from .priors import FACTORS
-from .readings import carried
+from .readings import against, carried
 from .remainder import Part, Remainder, grow
 from .settings import SETTINGS
 from .shape import refit, reshaped
@@ -134,9 +134,9 @@ def implausible(one: Explanation, effect_id: str) -> str:
             limit = low if value < low else high
             unit = "" if p.unit == "1" else f" {p.unit}"
             return f"{p.name} = {value:.3g}{unit} is beyond what is physically likely ({limit:.3g}{unit})"
-    odds = carried(one.study, term)
-    if odds < -SETTINGS.nats_to_name:
-        return f"the readings at the references do not have it (log odds {odds:.0f}, at least {-SETTINGS.nats_to_name:g} needed)"
+    not_read = against(one.study, term)
+    if not_read:
+        return not_read
     axial = (t for t in one.study.terms if t.effect.compliance_of is Axes.ACTUATED)
     compliance = {name: e.value for t in axial for name, e in t.estimates.items()}
     return term.effect.against_springs({name: (e.value, e.se) for name, e in term.estimates.items()}, compliance)

@@ -30,7 +30,7 @@ from .form_errors import evidence_beside
 from .forms import NO_FORMS, Forms, bends, forms_of
 from .held_out import held_out, only_good_poses
 from .lasting import lasts
-from .readings import along_readings
+from .readings import against, along_readings
 from .settings import Settings
 
 
@@ -168,6 +168,7 @@ def _standing(start: Explanation, one: Explanation, family: Family, settings: Se
         surely = {i for i in one.ids if everywhere(one, i) or shown_by_readings(one, i)}
         least = {i: needed(one, i, settings) + (0.0 if i in surely else left[i]) for i in one.ids}
         weak = [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
+        weak = weak or [i for i in one.ids if against(one.study, one.term(i))]  # where others' names have moved its values
         if not weak:
             return one, evidence
         one = bare[min(weak, key=lambda i: evidence[i])]

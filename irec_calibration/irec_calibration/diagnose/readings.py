@@ -13,7 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ..effects import Effect, known_effects
+from ..effects import Cause, Effect, Evidence, known_effects
+from ..effects.traits import Family
 from ..identification.observe import beyond_controller
 from ..model import Term
 from ..model.model import displacement_of
@@ -21,7 +22,9 @@ from ..typing import Array, IntArray
 from .evidence import Block
 from .lasting import LASTING, fitted, usually_beyond
 from .priors import FACTORS
+from .settings import SETTINGS
 from .study import Study
+from .tool_weight import odds_at_references
 
 WIDEST = float(FACTORS.max())  # of the prior of a value, in multiples of its width
 
@@ -56,11 +59,31 @@ def readings_of(study: Study, effect: Effect) -> Readings | None:
     rows = rows[np.isfinite(seen[rows]).all(axis=1)]
     if len(np.unique(session.pose[rows])) < 2 * LASTING.fewest:
         return None
-    values = seen[rows]
+    values, left_open = seen[rows], []
     for other in study.terms:
-        if other.effect.in_readings and other.effect.id != effect.id:
+        if other.effect.id == effect.id:
+            continue
+        if other.effect.in_readings or _in_course(other.effect):
             values = values - displacement_of(other, scene)[rows]
-    return Readings(rows, values, np.concatenate([_placed(scene.station[rows]), usually_beyond(study, rows)], axis=2))
+        if _in_course(other.effect):
+            left_open.append(_within_errors(other, study)[rows])
+    ground = [_placed(scene.station[rows]), usually_beyond(study, rows), *left_open]
+    return Readings(rows, values, np.concatenate(ground, axis=2))
+
+
+def _in_course(effect: Effect) -> bool:
+    """Whether an effect moves readings in the course of a session, whatever the robot does (a drift, a bumped station): what is
+    known of it is no error of the instrument that is asked about."""
+    return effect.family is Family.TIME and effect.cause is not Cause.LOAD
+
+
+def _within_errors(term: Term, study: Study) -> Array:
+    """How far a term may move each row within the errors of its values, columns in standard deviations, (n, 3, p), m."""
+    parameters = term.effect.parameters(study.ready)
+    errors = np.array([term.estimates[p.name].se if p.name in term.estimates else 0.0 for p in parameters])
+    errors = np.where(np.isfinite(errors), errors, 0.0)
+    columns: Array = (term.effect.regressor(study.ready, term.theta(parameters)) * errors)[:, :, errors > 0.0]
+    return columns
 
 
 def carried(study: Study, term: Term) -> float:
@@ -92,6 +115,33 @@ def carried(study: Study, term: Term) -> float:
     # something else moves the readings, where that would be far from the value that differences show
     elsewhere = np.abs(x[known.ground.shape[2] :]).max(initial=0.0) > LASTING.farthest
     return min(odds, 0.0) if elsewhere else odds
+
+
+def _weighed(study: Study, term: Term) -> float:
+    """Log odds that the force sensor reads a wrong tool weight at the references, over that it does not; 0: it can't tell."""
+    session, value = study.session, next(iter(term.estimates.values()))
+    if study.ready.kind != "loaded" or session.contact is not None:  # there references bear a force
+        return 0.0
+    mass_se = value.se if np.isfinite(value.se) else abs(value.value)
+    return odds_at_references(study.observation.scene, session.noise.force_n, value.value, mass_se)
+
+
+def against(study: Study, term: Term) -> str:
+    """Why an effect can't be what the differences show as it: the readings at the references do not have it; else empty.
+
+    They are against it by what a name needs over another (`nats_to_prefer`); against a tool weight by any odds, since in
+    differences it shows by what it changes in the springs only, which others do too.
+    """
+    weighed = term.effect.evidence is Evidence.REFERENCE_READINGS
+    odds, least = (_weighed(study, term), 0.0) if weighed else (carried(study, term), -SETTINGS.nats_to_prefer)
+    if odds >= least:
+        return ""
+    return f"the readings at the references do not have it (log odds {odds:.1f}, at least {least:g} needed)"
+
+
+def proved(study: Study, effect: Effect) -> bool:
+    """Whether readings have an effect beside a model without it, by what a name needs, and differences bear out their values."""
+    return by_readings(study, effect)[0] > SETTINGS.nats_to_name and along_readings(study, effect) > SETTINGS.nats_to_prefer
 
 
 def _of_this_order(study: Study, effect: Effect, known: Readings, theta: Array) -> float:

@@ -11,6 +11,7 @@ from .evidence import Ground
 from .explanation import Explanation, explain, implausible, remainder_of, reshaped_again, shown_by_readings, without
 from .family import Family
 from .forms import Forms, forms_of
+from .readings import proved
 from .settings import Settings
 
 Check = Callable[[], None]
@@ -24,7 +25,8 @@ def rivals_of(
 
     Two laws of an axis' torque (play, stiffening, friction, counterbalance) are told apart by what is told apart otherwise
     (`nats_to_separate`), not by what is preferred, and by a share of the name's evidence: gears follow none of them exactly.
-    What the readings at the references carry has no rival that they carry less.
+    What the readings at the references carry has no rival that they carry less; what they prove without the differences, which
+    other causes may bend, has none that does not move them.
 
     Args:
         near: added effect -> effects that were about as good when it came in, each with its explanation then.
@@ -49,6 +51,7 @@ def rivals_of(
         forms = forms_of(term, final.study.ready)
         whole = _without_forms(final, family, forms)
         shown = shown_by_readings(final, term.effect.id)
+        sure = proved(rest, term.effect)
         same = []
         for other, then in others.items():
             trial = try_option(ground, by_id[other], rest.ready)
@@ -58,6 +61,8 @@ def rivals_of(
             if one is None or implausible(one, other):  # no value that can be is no rival
                 continue
             if shown - shown_by_readings(one, other) > settings.nats_to_separate:
+                continue
+            if sure and not one.term(other).effect.in_readings:
                 continue
             law = term.effect.family is Alike.TORQUE_LAW and other in alike
             if law:  # as the shapes of the model with the name were found beside each other, so are these

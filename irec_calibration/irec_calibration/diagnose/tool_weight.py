@@ -68,6 +68,23 @@ def reference_readings(scene: Scene, force_noise: float) -> Readings | None:
     )  # fmt: skip
 
 
+def odds_at_references(scene: Scene, force_noise: float, mass: float, mass_se: float) -> float:
+    """Log odds that the readings at the references hold a wrong mass of this value and error, kg, over that they hold noise or a
+    constant bias only, or, where that is far from it, the mass that they show; 0 where there are too few of them."""
+    rows = np.unique(scene.reference[scene.reference >= 0])
+    if len(rows) < SETTINGS.readings.fewest or force_noise <= 0.0:
+        return 0.0
+    weight = np.einsum("nji,j->ni", scene.kin.R_tool[rows], scene.gravity_in_base).ravel()
+    read, pose = scene.force_in_tool[rows].ravel(), np.repeat(scene.pose[rows], 3)
+    bench, left = (Bench(f / force_noise, pose) for f in (read, read - mass * weight))
+    bias = _block(np.tile(np.eye(3), (len(rows), 1)), force_noise, SETTINGS.readings.bias_n)
+    off = _block(weight[:, None], force_noise, max(mass_se, 1e-12))
+    with_it = max((left.posterior(b) for b in (off, off + bias)), key=lambda p: p.log_evidence)
+    odds = with_it.log_evidence - max(bench.posterior(bias).log_evidence, _nothing(bench))
+    far = abs(float(with_it.x[0]))  # standard errors
+    return min(odds, -0.5 * far**2) if far > SETTINGS.lasting.farthest else odds
+
+
 def _block(A: Array, sigma: float, width: float) -> Block:
     free = np.full(A.shape[1], np.inf)
     return Block(A * width / sigma, -free, free, np.ones(A.shape[1]))
