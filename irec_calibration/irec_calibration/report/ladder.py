@@ -6,15 +6,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from ..codec import pose_data, run_codec
 from ..codec.algorithm1 import ESTIMATOR as CODEC_ESTIMATOR
 from ..diagnose.comparison import compare
 from ..diagnose.improve import Ladder, Rung
+from ..diagnose.result import Comparison
 from ..effects import find_effect
 from ..errors import IrecError
 from ..identification.validation import ESTIMATOR
 from ..lengths import length
 from ..session.data import Session
+from ..typing import Array, IntArray
 from . import models, samples
 from .codec_charts import save_chart
 from .next_steps import after_improvement
@@ -106,11 +110,21 @@ def _before_after(ladder: Ladder, session: Session, folder: Path) -> list[Sectio
     if len(ladder.rungs) < 2:
         return []
     before, after = (compare(session, r.model.terms) for r in (ladder.rungs[0], ladder.rungs[-1]))
+    rows, residuals = in_both(before, after)
     figure = samples.residual_maps(
-        session.p_tcp_in_base[before.rows], [before.residual, after.residual], ["Before", "After"], folder / "before_after.png",
-        poses=session.pose[before.rows], on_surface=session.kind == "loaded",
+        session.p_tcp_in_base[rows], residuals, ["Before", "After"], folder / "before_after.png",
+        poses=session.pose[rows], on_surface=session.kind == "loaded",
     )  # fmt: skip
-    return [Section("What the model leaves, before and after", figures=[Figure(figure, "Residual vectors on the same scale.")])]
+    text = "Residual vectors on the same scale."
+    if len(rows) < max(len(before.rows), len(after.rows)):
+        text += " Only samples that both models have: beside one of them others are plainly wrong."
+    return [Section("What the model leaves, before and after", figures=[Figure(figure, text)])]
+
+
+def in_both(before: Comparison, after: Comparison) -> tuple[IntArray, list[Array]]:
+    """Session rows that two models were both compared on, and the residual of each model there, (m, 3) each, m."""
+    rows, mine, others = np.intersect1d(before.rows, after.rows, return_indices=True)
+    return rows, [before.residual[mine], after.residual[others]]
 
 
 def _codec(ladder: Ladder, session: Session, folder: Path) -> list[Section]:
