@@ -11,8 +11,9 @@ from pathlib import Path
 from ..diagnose import Diagnosis, diagnose, write_json
 from ..diagnose.tables import write_tables
 from ..identification.validation import ESTIMATOR
-from ..report.diagnosis import contradiction, write_diagnosis_report
+from ..report.diagnosis import write_diagnosis_report
 from ..report.next_steps import after_diagnosis, in_lines
+from ..report.why_named import contradiction
 from ._progress import Progress
 from ._report import report
 from ._session import as_read, configure_plausible, configure_without_tracker, plausible_session, starting_model
@@ -55,7 +56,8 @@ def in_words(result: Diagnosis) -> str:
     for c in shown:
         where = textwrap.shorten(", ".join(c.groups), 36, placeholder=" ..")
         lines.append(f"{c.effect:31} {1e6 * c.cv_rms_m:12.1f} {1e6 * c.cv_rms_se_m:6.1f} {c.log_evidence:9.1f}  {where}".rstrip())
-    lines += [textwrap.fill(text, WIDTH) for text in contradiction(shown, result.verdict.effects)]
+    why = contradiction(shown, result.verdict.effects, result.verdict.one_of)
+    lines += [textwrap.fill(text, WIDTH) for text in why]
     lines.append(textwrap.fill(f"estimator: {ESTIMATOR}", WIDTH, subsequent_indent="  "))
     if shown:
         lines.append("trial: held-out error with it, in the linear problem about the model; `irec add` fits it exactly")

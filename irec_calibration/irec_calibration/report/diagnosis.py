@@ -22,6 +22,7 @@ from . import models, samples
 from .addition import probability
 from .next_steps import after_diagnosis
 from .page import Figure, Page, Section, Table, write_page
+from .why_named import contradiction
 
 STATUS = {
     "adequate": "The model is adequate",
@@ -259,31 +260,11 @@ def _which(diagnosis: Diagnosis, session: Session, folder: Path) -> list[Section
         "adequate": "Which: no effect is needed",
         "unexplained": "Which: none of the catalogue",
     }
-    return [Section(titles[v.status], [*physics, *contradiction(shown, v.effects), *skipped], figures, [Table(header, rows)])]
-
-
-def contradiction(shown: Sequence[Candidate], named: Sequence[str]) -> list[str]:
-    """Why the verdict names another effect than the one with the smallest bar, where it does."""
-    chosen = [c for c in shown if c.effect in named]
-    if not chosen or not shown:
-        return []
-    best = min(shown, key=lambda c: c.cv_rms_m)
-    lead = min(chosen, key=lambda c: c.cv_rms_m)
-    if best.effect in named or best.cv_rms_m >= lead.cv_rms_m:
-        return []
-    apart = abs(best.cv_rms_m - lead.cv_rms_m)
-    error = float(np.hypot(best.cv_rms_se_m, lead.cv_rms_se_m))
     return [
-        f"Why {lead.effect} is named although {best.effect} has the smaller bar: the bars differ by {length(apart)} (standard"
-        f" error {length(error)}), while the evidence weighs every sample, and in how many ways each effect was tried: it favours"
-        f" {lead.effect} by a factor of {_odds(lead.log_evidence - best.log_evidence)}."
+        Section(
+            titles[v.status], [*physics, *contradiction(shown, v.effects, v.one_of), *skipped], figures, [Table(header, rows)]
+        )
     ]
-
-
-def _odds(nats: float) -> str:
-    if nats > 14.0:
-        return "over a million"
-    return f"{np.exp(nats):,.0f}" if nats > 2.3 else f"{np.exp(nats):.1f}"
 
 
 def label(candidate: Candidate) -> str:

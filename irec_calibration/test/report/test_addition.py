@@ -13,7 +13,7 @@ from irec_calibration.effects.formula import FormulaEffect
 from irec_calibration.identification.validation import HeldOut
 from irec_calibration.model import Estimate, Term
 from irec_calibration.report.addition import addition_of, length, probability
-from irec_calibration.report.diagnosis import contradiction
+from irec_calibration.report.why_named import contradiction
 
 PARAMETERS = (Parameter("c", "1", 1.0, lower=0.0, upper=10.0, plausible=(0.0, 3.0)),)
 
@@ -76,3 +76,17 @@ def test_a_named_effect_with_a_longer_bar_than_another_is_explained():
 def test_nothing_is_explained_where_bar_and_verdict_agree():
     shown = [candidate("joint_backlash", 2.9e-5, 20.0), candidate("joint_stiffening", 3.0e-5, 12.0)]
     assert contradiction(shown, ["joint_backlash"]) == []  # type: ignore[arg-type]
+
+
+def test_no_odds_are_told_against_what_is_named():
+    shown = [candidate("marker_offset", 1.96e-4, 30.8), candidate("external_force", 1.55e-4, 49.7)]
+    (text,) = contradiction(shown, ["marker_offset"])  # type: ignore[arg-type]
+    assert "factor" not in text and "alone external_force has more evidence" in text
+    assert "needed beside all others of the model" in text
+
+
+def test_an_effect_that_may_be_missing_beside_the_named_one_is_no_loser():
+    shown = [candidate("marker_offset", 1.96e-4, 30.8), candidate("external_force", 1.55e-4, 49.7)]
+    sets = [("station_shift", "external_force"), ("station_shift", "tool_compliance")]
+    (text,) = contradiction(shown, ["marker_offset"], sets)  # type: ignore[arg-type]
+    assert "factor" not in text and "one of station_shift, external_force is needed too" in text
