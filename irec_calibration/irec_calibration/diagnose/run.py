@@ -14,8 +14,8 @@ from ..identification.provenance import model_of
 from ..identification.validation import HeldOut, gain
 from ..model import Estimate, Model, Term
 from ..session.data import Session
-from ..typing import Json
 from .assessment import Assessment, assess, bad_luck, p_value
+from .bad_readings import one_note_each, rows_json
 from .build import build
 from .candidates import Trial
 from .comparison import compare_observed
@@ -116,6 +116,9 @@ def examine(
     whiten = study.observation.whiten
     observation = replace(study.observation, whiten=whiten.scaled(assessment.noise.inferred_m / whiten.floor))
     comparison = compare_observed(observation, first.study.terms, first.study.fit.rank)
+    bad, aside = study.observation.bad, assessment.remainder.bad_rows
+    later = shown.best.study.observation.bad
+    comparison = replace(comparison, notes=one_note_each(comparison.notes, bad, aside, later))
     where = views(observation, comparison.residual, comparison.predicted)
     check()
     say(0.98, "what to measure next")
@@ -135,9 +138,9 @@ def examine(
         where=where,
         next_measurements=planned,
         flexible_gain_m=assessment.flexible.gain_m,
-        notes=tuple(dict.fromkeys((*comparison.notes, *first.notes, *shown.best.notes))),
+        notes=one_note_each((*comparison.notes, *first.notes, *shown.best.notes), bad, aside, later),
         noise=assessment.noise,
-        bad_rows=(*_left_out(session, study), *_weighed(assessment)),
+        bad_rows=rows_json(session, bad, aside),
         proposals=proposed,
     )
     say(1.0, "done")
@@ -174,33 +177,6 @@ def _candidates(assessment: Assessment, readings: Readings | None, check: Callab
     order = _ranking(assessment)
     out.sort(key=lambda c: (order.get(c.effect, len(order)), -c.log_evidence))
     return tuple(replace(c, confusable_with=_confusable(c, assessment, out)) for c in out)
-
-
-def _left_out(session: Session, study: Study) -> list[Json]:
-    """Rows that were found to be wrong before any model was compared, one entry each."""
-    return [
-        _bad_row(session, r, b.kind, b.size_m, b.action, b.sentence)
-        for b in study.observation.bad
-        if b.kind != "tail"
-        for r in b.rows
-    ]
-
-
-def _weighed(assessment: Assessment) -> list[Json]:
-    """Rows that stand out beside model and remainder and count for nothing in the verdict, one entry each."""
-    session = assessment.study.session
-    return [
-        _bad_row(session, r, "stands out", float("nan"), "counts for nothing in the verdict", p.structure.words)
-        for p in assessment.remainder.bad_rows
-        for r in p.structure.rows
-    ]
-
-
-def _bad_row(session: Session, row: int, kind: str, size_m: float, action: str, text: str) -> Json:
-    return {
-        "pose": int(session.pose[row]), "load_case": session.case_name(int(session.load_case[row])),
-        "repeat": int(session.repeat[row]), "kind": kind, "size_m": size_m, "action": action, "text": text,
-    }  # fmt: skip
 
 
 def _ranking(assessment: Assessment) -> dict[str, int]:

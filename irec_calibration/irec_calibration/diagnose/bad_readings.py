@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is told of bad readings: each once, as it is treated where the verdict is reached.
+
+Rows may be kept beside the model that was asked about and left out beside what was added, or count for nothing beside model and
+remainder. Notes of several fits would contradict each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ..identification.bad_rows import BadRow
+from ..identification.marker_noise import NOTE as BY_MARKER
+from ..session.data import Session
+from ..typing import Json
+from .remainder import Part
+
+SET_ASIDE = "counts for nothing in the verdict"
+
+
+def as_treated(bad: Sequence[BadRow], aside: Sequence[Part]) -> tuple[BadRow, ...]:
+    """Accidents that were found before any model was compared, those that were put aside after that marked so.
+
+    Args:
+        aside: parts of a remainder that are readings which stand out.
+    """
+    return tuple(replace(b, action=_action(b, aside)) for b in bad)
+
+
+def _action(bad: BadRow, aside: Sequence[Part]) -> str:
+    here = [p.structure for p in aside if set(p.structure.rows) & set(bad.rows)]
+    if bad.is_left_out or not here:
+        return bad.action
+    if set(bad.rows) <= {int(r) for s in here for r in s.rows}:
+        return SET_ASIDE
+    return f"kept, but for this, which {SET_ASIDE}: {', '.join(s.words for s in here)}"
+
+
+def one_note_each(notes: Sequence[str], bad: Sequence[BadRow], aside: Sequence[Part], later: Sequence[BadRow]) -> tuple[str, ...]:
+    """Notes of several fits of one session without those that say something else of the same rows.
+
+    Args:
+        notes: of the model that was asked about, then of others.
+        bad: accidents beside the model that was asked about; later: beside the model with what was added.
+        aside: as of `as_treated`.
+    """
+    true = {str(b): str(t) for b, t in zip(bad, as_treated(bad, aside), strict=True)}
+    known = {r for b in bad for r in b.rows}
+    new = {str(b): "" if known & set(b.rows) else f"{b}, beside what was added" for b in later if str(b) not in true}
+    told = dict.fromkeys(true.get(n, new.get(n, n)) for n in notes)
+    by_marker = [n for n in told if n.startswith(BY_MARKER)]
+    return tuple(n for n in told if n and n not in by_marker[1:])
+
+
+def rows_json(session: Session, bad: Sequence[BadRow], aside: Sequence[Part]) -> tuple[Json, ...]:
+    """One entry for each row: those that were found before any model was compared, and those that were put aside after that."""
+    weighed = {int(r): p.structure.words for p in aside for r in p.structure.rows}
+    out = [
+        _row(session, r, b.kind, b.size_m, SET_ASIDE if r in weighed and not b.is_left_out else b.action, b.sentence)
+        for b in bad
+        if b.kind != "tail"
+        for r in b.rows
+    ]
+    known = {r for b in bad if b.kind != "tail" for r in b.rows}
+    return (*out, *(_row(session, r, "stands out", float("nan"), SET_ASIDE, w) for r, w in weighed.items() if r not in known))
+
+
+def _row(session: Session, row: int, kind: str, size_m: float, action: str, text: str) -> Json:
+    return {
+        "pose": int(session.pose[row]), "load_case": session.case_name(int(session.load_case[row])),
+        "repeat": int(session.repeat[row]), "kind": kind, "size_m": size_m, "action": action, "text": text,
+    }  # fmt: skip

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bad reading is told once, as it is treated where the verdict is reached, though several models of a session were fitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import synthetic
+from irec_calibration.diagnose import diagnose
+from irec_calibration.diagnose.bad_readings import SET_ASIDE, one_note_each, rows_json
+from irec_calibration.effects.scene import Scene
+from irec_calibration.identification.bad_rows import BadRow
+from irec_calibration.identification.outliers import KEPT
+from numpy.typing import NDArray
+
+ROW = 40
+
+
+def part(*rows: int, words: str = "pose 5") -> SimpleNamespace:
+    return SimpleNamespace(structure=SimpleNamespace(rows=rows, words=words))
+
+
+def test_a_row_that_one_model_keeps_and_another_leaves_out_has_one_note() -> None:
+    kept, left_out = (
+        BadRow("jump", (3,), 1e-3, "row 3: moved by 1 mm", KEPT),
+        BadRow("jump", (3,), 9e-4, "row 3: moved by 0.9 mm"),
+    )
+    notes = ("other", str(kept), "other", str(left_out))
+    assert one_note_each(notes, [kept], [], [left_out]) == ("other", str(kept))
+    assert one_note_each(notes, [kept], [part(3)], [left_out]) == ("other", f"row 3: moved by 1 mm; {SET_ASIDE}")
+
+
+def test_what_is_found_beside_what_was_added_only_is_told_so() -> None:
+    found = BadRow("jump", (3,), 1e-3, "row 3: moved by 1 mm")
+    assert one_note_each((str(found),), [], [], [found]) == ("row 3: moved by 1 mm; left out, beside what was added",)
+
+
+def test_of_rows_that_are_put_aside_in_part_it_is_said_which() -> None:
+    kept = BadRow("moved", (3, 4), 1e-3, "from row 3 on", KEPT)
+    (note,) = one_note_each((str(kept),), [kept], [part(4, words="row 4")], [kept])
+    assert note == f"from row 3 on; kept, but for this, which {SET_ASIDE}: row 4"
+
+
+def test_markers_are_listed_once() -> None:
+    notes = tuple(f"residual by marker, um per coordinate: M1 {n}" for n in (22, 22, 21))
+    assert one_note_each(notes, [], [], []) == notes[:1]
+
+
+def test_a_result_has_one_entry_for_each_row() -> None:
+    session = synthetic.session(poses=6)
+    kept = BadRow("jump", (ROW - 20,), 1e-3, "moved by 1 mm", KEPT)
+    one, other = rows_json(session, [kept], [part(ROW - 20), part(ROW - 10)])
+    assert (one["kind"], one["action"], other["kind"]) == ("jump", SET_ASIDE, "stands out")
+
+
+def test_a_bad_reading_beside_a_missing_effect_is_told_once() -> None:
+    def play(scene: Scene) -> NDArray[np.float64]:
+        angle = 2e-4 * np.clip((scene.tau[:, 3] + scene.tau_gravity[:, 3]) / 5.0, -1.0, 1.0)
+        return scene.kin.jacobian(scene.p_observed)[:, :, 3] * angle[:, None]
+
+    clean = synthetic.session(poses=20, seed=5, extra=play)
+    marker = clean.p_marker_in_station.copy()
+    marker[ROW] += [3e-4, -2.5e-4, 0.0]
+    found = diagnose(replace(clean, p_marker_in_station=marker))
+    assert found.verdict.effects == ("joint_backlash",), found.verdict.text
+    assert sum(f"pose {clean.pose[ROW]}," in note for note in found.notes) == 1, found.notes
+    assert [b["pose"] for b in found.bad_rows] == [clean.pose[ROW]], found.bad_rows
