@@ -10,7 +10,7 @@ import numpy as np
 
 from ..effects.of_session import marker_by_controller, scene_of
 from ..effects.scene import Scene
-from ..identification.noise import position_sigma
+from ..identification.noise import InferredNoise, position_sigma
 from ..model import Term, total_displacement
 from ..session.data import Session
 from ..typing import BoolArray
@@ -47,6 +47,18 @@ def next_measurements(session: Session, a: Sequence[Term], b: Sequence[Term], na
                 )
             )
     return tuple(sorted(found, key=lambda m: -m.gain)[: SETTINGS.proposed.at_most])
+
+
+def repeats_to_tell(m: Measurement, noise: InferredNoise | None) -> int:
+    """How often a sample has to be taken to tell two explanations apart; 0 where nobody would take it so often.
+
+    Args:
+        noise: what the session shows; that which it states where None.
+    """
+    ratio = noise.ratio if noise is not None and noise.differs else 1.0
+    gain = m.gain / max(ratio, 1e-9) ** 2
+    repeats = max(1, int(np.ceil(0.5 * SETTINGS.proposed.sigmas_to_tell**2 / max(gain, 1e-9))))
+    return repeats if repeats <= SETTINGS.proposed.most_repeats else 0
 
 
 def _usable(scene: Scene, session: Session) -> BoolArray:

@@ -109,7 +109,7 @@ class Measurement:
     """A sample worth measuring: where rivals predict different displacements.
 
     Attributes:
-        difference_m: between the rivals' predictions; gain: in standard deviations of one sample.
+        difference_m: between the rivals' predictions; gain: half its square in standard deviations of one sample, as stated.
         q: joint angles, rad; pose is 0 for a new pose.
     """
 

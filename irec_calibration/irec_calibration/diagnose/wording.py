@@ -12,6 +12,7 @@ from ..identification.noise import InferredNoise
 from ..lengths import length
 from .assessment import Assessment
 from .explanation import implausible
+from .next_poses import repeats_to_tell
 from .part_sets import Parts
 from .result import Candidate, Comparison, Measurement, Verdict
 from .settings import SETTINGS
@@ -78,9 +79,7 @@ def verdict_of(
     for one, others in rivals.items():
         if others:
             parts.append(f"On this session {_label(one)} can't be told for sure from {', '.join(map(_label, others))}.")
-    if planned and (assessment.one_of or any(rivals.values())):
-        m = planned[0]
-        parts.append(f"Measuring load case {m.load_case} at {_at(m)} separates them by {length(m.difference_m)}.")
+    parts += _rivals_apart(assessment, planned)
     if assessment.status == "missing_effect":
         parts += _apart(assessment, planned)
     if poses < FEW_POSES or study.fit.dof < study.fit.rank:
@@ -214,7 +213,7 @@ def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidat
         if one is not None and not one.plausible:
             why = implausible(assessment.built.final, i)
             out.append(f"Check {_label(i)} before using it{': ' + why if why else ''}.")
-        out += _parts_in_words(_label(i), assessment.parts.get(i))
+        out += _parts_in_words(_label(i), assessment.parts.get(i), alone=len(assessment.names) == 1)
     return out
 
 
@@ -222,8 +221,12 @@ def _in_brackets(parts: Parts | None) -> str:
     return f" ({', '.join(parts.proven)})" if parts is not None and parts.proven else ""
 
 
-def _parts_in_words(label: str, parts: Parts | None) -> list[str]:
-    """What these data can't tell about the axes (or directions) of an effect."""
+def _parts_in_words(label: str, parts: Parts | None, alone: bool = True) -> list[str]:
+    """What these data can't tell about the axes (or directions) of an effect.
+
+    Args:
+        alone: no other effect is named that they could be taken for those of.
+    """
     out: list[str] = []
     if parts is None:
         return out
@@ -235,7 +238,9 @@ def _parts_in_words(label: str, parts: Parts | None) -> list[str]:
             f"{begin}{'which axis it is, ' if many else f'{sets}: '}these data do not tell{'' if many else ' them apart'}."
         )
     if parts.perhaps:
-        of = "Perhaps also" if parts.proven or parts.one_of else f"{label[0].upper()}{label[1:]}: not sure where; perhaps"
+        of = "Perhaps also" if alone else f"{label[0].upper()}{label[1:]}: perhaps also"
+        if not parts.proven and not parts.one_of:
+            of = f"{label[0].upper()}{label[1:]}: not sure where; perhaps"
         out.append(f"{of} {', '.join(parts.perhaps)}: too small a part to be sure of.")
     return out
 
@@ -245,9 +250,27 @@ def _apart(assessment: Assessment, planned: Sequence[Measurement]) -> list[str]:
     m = next((m for m in planned if assessment.other is not None and m.separates == assessment.other[1]), None)
     if m is None:
         return []
-    repeats = int(np.ceil(0.5 * SETTINGS.proposed.sigmas_to_tell**2 / max(m.gain, 1e-9)))
-    if repeats > SETTINGS.proposed.most_repeats:
+    repeats = repeats_to_tell(m, assessment.noise)
+    if not repeats:
         return ["No load case at these poses or near them separates these axes."]
     often = f", so take at least {repeats} repeats" if repeats > 1 else ""
     sample = f"Measuring load case {m.load_case} at {_at(m)}"
     return [f"{sample} separates these axes: they differ there by {length(m.difference_m)}{often}."]
+
+
+def _rivals_apart(assessment: Assessment, planned: Sequence[Measurement]) -> list[str]:
+    """Which sample would tell an effect from the likeliest other one that would do in its place, and how often to take it."""
+    pairs = [(i, others[0][0]) for i, others in assessment.built.rivals.items() if others]
+    m = next((m for m in planned if m.separates in pairs), None)
+    if m is None:
+        return []
+    one, other = map(_label, m.separates)
+    repeats = repeats_to_tell(m, assessment.noise)
+    if not repeats:
+        return [
+            f"No load case at these poses or near them tells {one} from {other}: they differ by {length(m.difference_m)} at most,"
+            f" too little for {SETTINGS.proposed.most_repeats} repeats at this noise."
+        ]
+    often = f", so take at least {repeats} repeats" if repeats > 1 else ""
+    sample = f"Measuring load case {m.load_case} at {_at(m)}"
+    return [f"{sample} separates {one} and {other}: they differ there by {length(m.difference_m)}{often}."]

@@ -286,7 +286,7 @@ def _next(diagnosis: Diagnosis, session: Session) -> list[Section]:
         return []
     sliding = session.robot.kinematics(session.q[:1]).is_prismatic
     rows = [
-        [m.pose or "new", m.load_case, " / ".join(m.separates), length(m.difference_m), f"{m.gain:.1f}",
+        [m.pose or "new", m.load_case, " / ".join(m.separates), length(m.difference_m), f"{np.sqrt(2.0 * m.gain):.1f}",
          " ".join(f"{v:.3f} m" if slides else f"{np.degrees(v):.0f}" for v, slides in zip(m.q, sliding, strict=False))]
         for m in diagnosis.next_measurements
     ]  # fmt: skip

@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Sequence
 
 from ..diagnose.improve import Ladder
+from ..diagnose.next_poses import repeats_to_tell
 from ..diagnose.result import Diagnosis, Measurement
 from ..lengths import length
 from ..model import EIGHTEEN_DOF, GEOMETRIC
@@ -70,7 +71,9 @@ def after_diagnosis(d: Diagnosis, session: str, model: str = "", *, without_trac
     else:
         steps.append(("Nothing is to be added. Identify the model and use it:", _solve(d, s)))
     if d.next_measurements and v.status != "adequate":
-        steps.append((where_to_measure(d.next_measurements[0]), ""))
+        m = d.next_measurements[0]
+        if repeats := repeats_to_tell(m, d.noise):
+            steps.append((where_to_measure(m, repeats), ""))
     return steps
 
 
@@ -95,10 +98,12 @@ def after_improvement(ladder: Ladder, session: str, model: str, *, without_track
     ]
 
 
-def where_to_measure(m: Measurement) -> str:
-    """A proposed measurement in a sentence; joint angles in degrees."""
+def where_to_measure(m: Measurement, repeats: int = 1) -> str:
+    """A proposed measurement in a sentence, and how often to take it; joint angles in degrees."""
     at = f"pose {m.pose}" if m.pose else "a new pose at joints " + ", ".join(f"{DEGREES * x:.0f}" for x in m.q) + " deg"
-    return f"Measure next: {at}, load case {m.load_case}: it separates {' and '.join(m.separates)} by {length(m.difference_m)}."
+    often = f", {repeats} repeats" if repeats > 1 else ""
+    apart = f"it separates {' and '.join(m.separates)} by {length(m.difference_m)}"
+    return f"Measure next: {at}, load case {m.load_case}{often}: {apart}."
 
 
 def in_lines(steps: Sequence[Step]) -> str:

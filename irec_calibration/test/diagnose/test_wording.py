@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sentences of a verdict: of which effect they speak, and how often a proposed sample has to be taken."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+from irec_calibration.diagnose import wording
+from irec_calibration.diagnose.part_sets import Parts
+from irec_calibration.diagnose.result import Measurement
+from irec_calibration.identification.noise import InferredNoise
+from irec_calibration.report.next_steps import after_diagnosis
+
+AS_STATED = InferredNoise(41e-6, 41e-6, 38e-6, 44e-6, "residual", 300.0)
+TWICE = InferredNoise(41e-6, 82e-6, 78e-6, 86e-6, "residual", 300.0)
+
+
+def missing(*names: str) -> str:
+    held_out = SimpleNamespace(held_out=SimpleNamespace(rms_m=5e-5))
+    parts = {i: Parts(proven=("axis 1",), perhaps=("axis 3",)) for i in names}
+    found = SimpleNamespace(names=names, parts=parts)
+    return " ".join(wording._missing(found, SimpleNamespace(asked=held_out, after=held_out), ()))  # type: ignore[arg-type]
+
+
+def test_of_several_effects_it_is_said_whose_axes_are_not_sure() -> None:
+    text = missing("joint_backlash", "joint_torsion")
+    assert "Joint backlash: perhaps also axis 3" in text and "Joint torsion: perhaps also axis 3" in text
+    assert "Perhaps also axis 3" in missing("joint_backlash")
+
+
+def sample(difference_m: float, separates: tuple[str, ...] = ("tool_compliance", "base_compliance")) -> Measurement:
+    return Measurement(4, "normal", separates, difference_m, 0.5 * (difference_m / 41e-6) ** 2)
+
+
+def apart(difference_m: float, noise: InferredNoise = AS_STATED, rivals: tuple[str, ...] = ("base_compliance",)) -> str:
+    built = SimpleNamespace(rivals={"tool_compliance": tuple((r, 0.1) for r in rivals)})
+    assessment = SimpleNamespace(built=built, noise=noise)
+    return " ".join(wording._rivals_apart(assessment, [sample(difference_m)]))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("difference_m", "noise", "words"),
+    [
+        (200e-6, AS_STATED, "they differ there by 200 um."),
+        (41e-6, AS_STATED, "they differ there by 41.0 um, so take at least 9 repeats."),
+        (200e-6, TWICE, "they differ there by 200 um, so take at least 2 repeats."),
+        (8.7e-6, AS_STATED, "they differ by 8.7 um at most, too little for 20 repeats"),
+        (41e-6, TWICE, "they differ by 41.0 um at most, too little for 20 repeats"),
+    ],
+)
+def test_how_often_a_sample_is_to_be_taken_is_said(difference_m: float, noise: InferredNoise, words: str) -> None:
+    text = apart(difference_m, noise)
+    assert words in text and "tool compliance" in text and "base compliance" in text
+
+
+def test_a_sample_that_separates_others_is_not_said_to_separate_the_rivals() -> None:
+    assert apart(200e-6, rivals=("station_shift",)) == "" and apart(200e-6, rivals=()) == ""
+
+
+@pytest.mark.parametrize(("difference_m", "words"), [(41e-6, "load case normal, 9 repeats: it separates"), (8.7e-6, "")])
+def test_the_next_step_says_how_often_or_is_not_proposed(difference_m: float, words: str) -> None:
+    verdict = SimpleNamespace(status="unexplained", depends_on=())
+    found = SimpleNamespace(verdict=verdict, proposals=(), next_measurements=(sample(difference_m),), noise=AS_STATED)
+    said = [text for text, _ in after_diagnosis(found, "SESSION") if text.startswith("Measure next")]  # type: ignore[arg-type]
+    assert len(said) == bool(words) and all(words in text for text in said)
