@@ -204,10 +204,7 @@ def _rest(assessment: Assessment) -> list[str]:
 
 def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidate]) -> list[str]:
     labels = " and ".join(_label(i) + _in_brackets(assessment.parts.get(i)) for i in assessment.names)
-    out = [
-        f"Missing: {labels}. Added, the error on held-out poses falls from {length(shown.asked.held_out.rms_m)} to"
-        f" {length(shown.after.held_out.rms_m)}."
-    ]
+    out = [f"Missing: {labels}. {_falls(assessment, shown)}"]
     for i in assessment.names:
         one = next((c for c in candidates if c.effect == i), None)
         if one is not None and not one.plausible:
@@ -215,6 +212,19 @@ def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidat
             out.append(f"Check {_label(i)} before using it{': ' + why if why else ''}.")
         out += _parts_in_words(_label(i), assessment.parts.get(i), alone=len(assessment.names) == 1)
     return out
+
+
+def _falls(assessment: Assessment, shown: Shown) -> str:
+    """From what to what the error falls with all that was added, without readings that stand out where there are any."""
+    asked, after = shown.asked, shown.after
+    aside = [r for p in assessment.remainder.bad_rows for r in p.structure.rows]
+    good = np.setdiff1d(np.intersect1d(asked.study.observation.rows, after.study.observation.rows), aside)
+    figures = [f"{length(m.held_out.rms_m)}" for m in (asked, after)]
+    usual = [f"{length(m.held_out.rms_of(np.isin(m.study.observation.rows, good)))}" for m in (asked, after)]
+    begin = "Added, the error on held-out poses falls from"
+    if usual == figures or not len(good):
+        return f"{begin} {figures[0]} to {figures[1]}."
+    return f"{begin} {usual[0]} to {usual[1]} without the readings that stand out, from {figures[0]} to {figures[1]} with them."
 
 
 def _in_brackets(parts: Parts | None) -> str:

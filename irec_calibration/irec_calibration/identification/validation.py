@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtr
 
-from ..typing import Array, IntArray
+from ..typing import Array, BoolArray, IntArray
 from .bounded import solve_bounded_gram
 from .observe import Observation
 
@@ -47,6 +47,10 @@ class HeldOut:
     poses: IntArray
     loss: Array
     residual: Array
+
+    def rms_of(self, chosen: BoolArray) -> float:
+        """As `rms_m`, of some of the samples, (m,)."""
+        return rms(self.residual[chosen])
 
 
 def floored(precision: Array, G: Array, rounding: float = RIDGE) -> Array:

@@ -5,22 +5,46 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from irec_calibration.diagnose import wording
 from irec_calibration.diagnose.part_sets import Parts
 from irec_calibration.diagnose.result import Measurement
 from irec_calibration.identification.noise import InferredNoise
+from irec_calibration.identification.validation import HeldOut, rms
 from irec_calibration.report.next_steps import after_diagnosis
 
 AS_STATED = InferredNoise(41e-6, 41e-6, 38e-6, 44e-6, "residual", 300.0)
 TWICE = InferredNoise(41e-6, 82e-6, 78e-6, 86e-6, "residual", 300.0)
 
 
-def missing(*names: str) -> str:
-    held_out = SimpleNamespace(held_out=SimpleNamespace(rms_m=5e-5))
+def made(rows: list[int], sizes: list[float]) -> SimpleNamespace:
+    residual = np.outer(sizes, (1.0, 0.0, 0.0))
+    nan = float("nan")
+    held_out = HeldOut(rms(residual), nan, nan, nan, np.arange(3), np.zeros(3), residual)
+    return SimpleNamespace(held_out=held_out, study=SimpleNamespace(observation=SimpleNamespace(rows=np.array(rows))))
+
+
+def missing(
+    *names: str, asked: SimpleNamespace | None = None, after: SimpleNamespace | None = None, aside: tuple[int, ...] = ()
+) -> str:
     parts = {i: Parts(proven=("axis 1",), perhaps=("axis 3",)) for i in names}
-    found = SimpleNamespace(names=names, parts=parts)
-    return " ".join(wording._missing(found, SimpleNamespace(asked=held_out, after=held_out), ()))  # type: ignore[arg-type]
+    bad = [SimpleNamespace(structure=SimpleNamespace(rows=aside))] if aside else []
+    found = SimpleNamespace(names=names, parts=parts, remainder=SimpleNamespace(bad_rows=bad))
+    same = made([1, 2], [5e-5, 5e-5])
+    return " ".join(wording._missing(found, SimpleNamespace(asked=asked or same, after=after or same), ()))  # type: ignore[arg-type]
+
+
+def test_a_reading_that_stands_out_does_not_hide_how_far_the_error_falls() -> None:
+    asked, after = made([1, 2, 3], [1e-4, 1e-4, 1e-3]), made([1, 2, 3], [5e-5, 5e-5, 1e-3])
+    text = missing("joint_backlash", asked=asked, after=after, aside=(3,))
+    assert "falls from 100 um to 50.0 um without the readings that stand out, from 583 um to 579 um with them." in text
+    assert "falls from 583 um to 579 um." in missing("joint_backlash", asked=asked, after=after)
+
+
+def test_a_reading_that_one_of_two_models_leaves_out_does_not_make_the_error_fall() -> None:
+    asked, after = made([1, 2, 3], [1e-4, 1e-4, 1e-3]), made([1, 2], [5e-5, 5e-5])
+    assert "falls from 100 um to 50.0 um without" in missing("joint_backlash", asked=asked, after=after)
 
 
 def test_of_several_effects_it_is_said_whose_axes_are_not_sure() -> None:
