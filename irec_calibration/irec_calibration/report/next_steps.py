@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from ..diagnose.improve import Ladder
 from ..diagnose.next_poses import repeats_to_tell
 from ..diagnose.result import Diagnosis, Measurement
+from ..identification.noise import InferredNoise
 from ..lengths import length
 from ..model import EIGHTEEN_DOF, GEOMETRIC
 
@@ -17,6 +18,8 @@ Step = tuple[str, str]  # sentence, command or ""
 WIDTH = 100
 WITHOUT_TRACKER = "--without-tracker"
 DEGREES = 57.29577951308232
+DOUBTFUL_NOISE = 2.0  # times the noise that a session states, from which a cause may hide in it
+DOUBTFUL_WANDER = 0.5  # share of the noise's variance, likewise
 
 
 def after_diagnosis(d: Diagnosis, session: str, model: str = "", *, without_tracker: bool = False) -> list[Step]:
@@ -61,20 +64,41 @@ def after_diagnosis(d: Diagnosis, session: str, model: str = "", *, without_trac
             if not model:
                 steps.append(("Identify the model that was diagnosed:", _solve(d, s)))
             steps.append(("Try the formula that describes it best; it names no cause:", _formula(d, model or "model.yaml", s)))
-    elif model:
-        steps.append(
-            (
-                "Nothing is to be added. See what the model predicts where it will be used:",
-                f"irec predict {shlex.quote(model)} {s}",
-            )
-        )
     else:
-        steps.append(("Nothing is to be added. Identify the model and use it:", _solve(d, s)))
+        doubt = instruments_first(d.noise)
+        steps += doubt
+        begin = "Until then nothing is to be added." if doubt else "Nothing is to be added."
+        if model:
+            steps.append(
+                (f"{begin} See what the model predicts where it will be used:", f"irec predict {shlex.quote(model)} {s}")
+            )
+        else:
+            steps.append((f"{begin} Identify the model{'' if doubt else ' and use it'}:", _solve(d, s)))
     if d.next_measurements and v.status != "adequate":
         m = d.next_measurements[0]
         if repeats := repeats_to_tell(m, d.noise):
             steps.append((where_to_measure(m, repeats), ""))
     return steps
+
+
+def instruments_first(noise: InferredNoise | None) -> list[Step]:
+    """To look at the instruments first, where what passes for noise is far more than they claim, or wanders for the most part."""
+    if noise is None:
+        return []
+    why = []
+    if noise.differs and noise.ratio > DOUBTFUL_NOISE:
+        why.append(f"is {noise.ratio:.1f} times what the session states")
+    if noise.wander_share > DOUBTFUL_WANDER:
+        why.append(f"wanders for {100 * noise.wander_share:.0f} %")
+    if not why:
+        return []
+    return [
+        (
+            f"What passes for noise {' and '.join(why)}: a cause may hide in it. Look at the instruments and their mounting first"
+            " (tracker, reflector, station, force sensor), measure some poses twice, and diagnose again.",
+            "",
+        )
+    ]
 
 
 def _formula(d: Diagnosis, model: str, session: str) -> str:
