@@ -18,7 +18,9 @@ from .table import Figures
 def maps(before: Drive, after: Drive, tolerance: float, case: str, path: Path) -> Path:
     """Absolute (lay-down) or signed (roughing) error over the part, both drives on one colour scale."""
     plt = pyplot()
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.6), sharex=True, sharey=True, layout="constrained")
+    across, up = np.ptp(before.ways.p_in_cell[before.counted], axis=0)[[1, 0]]
+    height = 1.0 + 4.2 * up / across  # so that the colour bar is as high as the maps
+    figure, axes = plt.subplots(1, 2, figsize=(11, height), sharex=True, sharey=True, layout="constrained")
     top = 1e3 * float(np.abs(before.error[before.counted]).max())
     for ax, drive, title in zip(axes, (before, after), ("without correction", "with correction, 18 DOF"), strict=True):
         keep = drive.counted.copy()
@@ -120,5 +122,5 @@ def learned(told: dict[str, Any], path: Path) -> Path:
         ax.semilogy(s.response.frequency, np.abs(s.response.to_force), color=colour, lw=0.9, label=f"{s.where}, force")
         ax.semilogy(s.response.frequency, np.abs(s.response.to_offset), color=colour, ls="--", lw=0.9, label=f"{s.where}, offset")
     ax.set(xlabel="frequency [Hz]", ylabel="answer of the TCP, 1 = static", title="Answer of arm and drives")
-    ax.legend(fontsize=7, loc="upper right")
+    ax.legend(fontsize=7, loc="best")
     return save(figure, path)

@@ -189,31 +189,38 @@ def _learnt(
     plain, shaped = learned.designs(case, force, noise, lead, shaken)
     slack = round(min(2.0 * profile.spread, 0.2), 4)
     known = Expected({driven.names[i]: learned.expected(profile, driven, i, smooth=True) for i in train}, lead, slack)
-    uncorrected = teaching(case, moving, [(drive, train) for drive in without], swept, known)
-    own = uncorrected.learnt()
-    table = _written(case, "filter.csv", own, uncorrected.postures)
     some, taught = (tuple(int(rows[i]) for i in part) for part in (held_out, train))
     path, to_teach = (
         learned.write_profiles(profile, ways.only(np.array(part)), np.array(part), case.out / f"{name}.npz")
         for name, part in (("profiles", some), ("profiles_training", taught))
     )
     ahead = float(min(latency.delay, 0.1))
-    jobs["+ the arm measured in motion (improve)"] = step = Job(
-        "ladder_2", some, str(case.out / "model_moving.yaml"), zeroed=True
-    )
-    jobs[NOT_KEPT] = replace(step, name="ladder_lead", lead=ahead)
-    jobs["+ known force profile"] = step = replace(step, name="ladder_3", profiles=str(path), ahead=ahead, slack=slack)
-    jobs["+ filter for the measured spectrum"] = step = replace(step, name="ladder_4", taps=_taps(plain.taps), ahead=lead)
-    jobs["+ answer of arm and drives undone"] = step = replace(step, name="ladder_5", taps=_taps(shaped.taps))
-    jobs[LEARNT] = step = replace(step, name="ladder_6", taps=(), filter_file=str(table), brisk=True)
-    teach = replace(step, rows=taught, profiles=str(to_teach))
-    taught_again = [replace(teach, name=f"training_{seed}", seed=seed) for seed in AGAIN]
-    say("learning once more on training courses that are corrected with what was learnt")
-    run_jobs(case, taught_again, say, processes)
-    corrected = [(load(case, job)[0].zeroed, np.arange(len(taught))) for job in taught_again]
-    once_more = teaching(case, moving, corrected, swept, known, uncorrected).learnt()
-    again_table = _written(case, "filter_again.csv", once_more, uncorrected.postures)
-    jobs[LAST] = replace(step, name="ladder_7", filter_file=str(again_table))
+    moved = Job("ladder_2", some, str(case.out / "model_moving.yaml"), zeroed=True)
+    expecting = replace(moved, name="ladder_3", profiles=str(path), ahead=ahead, slack=slack)
+    filtering = replace(expecting, name="ladder_4", taps=_taps(plain.taps), ahead=lead)
+    undoing = replace(filtering, name="ladder_5", taps=_taps(shaped.taps))
+    teach = replace(undoing, rows=taught, profiles=str(to_teach), taps=(), brisk=True)
+    jobs |= {
+        "+ the arm measured in motion (improve)": moved,
+        NOT_KEPT: replace(moved, name="ladder_lead", lead=ahead),
+        "+ known force profile": expecting,
+        "+ filter for the measured spectrum": filtering,
+        "+ answer of arm and drives undone": undoing,
+    }
+    # learning keeps one processor busy, and these wait for nothing
+    beside = [one for job in (moved, expecting, filtering, undoing) for one in _in_all_draws(job)]
+    with meanwhile(case, beside, gently=False):
+        uncorrected = teaching(case, moving, [(drive, train) for drive in without], swept, known)
+        own = uncorrected.learnt()
+        table = str(_written(case, "filter.csv", own, uncorrected.postures))
+        say("learning once more on training courses that are corrected with what was learnt")
+        taught_again = [replace(teach, name=f"training_{seed}", seed=seed, filter_file=table) for seed in AGAIN]
+        run_jobs(case, taught_again, say, processes)
+        corrected = [(load(case, job)[0].zeroed, np.arange(len(taught))) for job in taught_again]
+        once_more = teaching(case, moving, corrected, swept, known, uncorrected).learnt()
+    again_table = str(_written(case, "filter_again.csv", once_more, uncorrected.postures))
+    jobs[LEARNT] = replace(undoing, name="ladder_6", taps=(), filter_file=table, brisk=True)
+    jobs[LAST] = replace(jobs[LEARNT], name="ladder_7", filter_file=again_table)
     told = {
         "latency": latency,
         "bag": bag,
