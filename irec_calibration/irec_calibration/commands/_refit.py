@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
-from ..diagnose.held_out import held_out
+from ..diagnose.held_out import held_out, held_out_beside
 from ..diagnose.study import Study
 from ..errors import IrecError
 from ..identification.validation import ESTIMATOR, gain
@@ -88,12 +88,12 @@ def addition_to(old: Model, new: Model, before: Study, after: Study) -> Addition
     term = next((t for t in new.terms if t.effect.id not in old.effects), None)
     if term is None:
         return None
-    return addition_of(held_out(before), held_out(after), term, term.effect.parameters(after.ready))
+    return addition_of(held_out(before), held_out_beside(before, after), term, term.effect.parameters(after.ready))
 
 
 def change(before: Study, after: Study) -> dict[str, float | str | list[str] | None]:
     """Figures of two models of one session."""
-    old, new = held_out(before), held_out(after)
+    old, new = held_out(before), held_out_beside(before, after)
     _, _, p = gain(old, new)
     figures = {
         "cv_rms_before_m": old.rms_m,

@@ -6,7 +6,7 @@
 
 from .attempt import Attempt, added, attempt
 from .comparison import compare, compare_observed
-from .held_out import Validated, held_out, solved, validated
+from .held_out import Validated, held_out, held_out_beside, solved, validated
 from .improve import Ladder, Rung, add_effect, improve, remove_effect, versioned
 from .result import Candidate, Comparison, Diagnosis, Measurement, Verdict, View, finite, write_json
 from .run import diagnose, start_terms
@@ -14,6 +14,6 @@ from .study import Study, prepare
 
 __all__ = [
     "Attempt", "Candidate", "Comparison", "Diagnosis", "Ladder", "Measurement", "Rung", "Study", "Validated", "Verdict", "View",
-    "add_effect", "added", "attempt", "compare", "compare_observed", "diagnose", "finite", "held_out", "improve", "prepare",
-    "remove_effect", "solved", "start_terms", "validated", "versioned", "write_json",
+    "add_effect", "added", "attempt", "compare", "compare_observed", "diagnose", "finite", "held_out", "held_out_beside",
+    "improve", "prepare", "remove_effect", "solved", "start_terms", "validated", "versioned", "write_json",
 ]  # fmt: skip

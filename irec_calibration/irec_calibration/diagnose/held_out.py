@@ -16,7 +16,7 @@ from ..session.data import Session
 from .apart import set_apart
 from .evidence import Block
 from .remainder import Remainder
-from .study import Study, prepare
+from .study import Study, prepare, study_of
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,18 @@ def held_out(study: Study, block: Block | None = None) -> HeldOut:
     columns = study.base if block is None else study.base + block
     white = study.bench.held_out(columns) if len(study.bench.poses) > 1 else None
     return held_out_error(study.observation, white)
+
+
+def held_out_beside(before: Study, after: Study) -> HeldOut:
+    """Figures of a later model, with losses at the noise of an earlier one, so that the two can be compared (`gain`).
+
+    Each model by itself has its own noise: what it leaves may pass for noise that wanders, or for bad readings, and cost little.
+    """
+    own = held_out(after)
+    if after.observation is before.observation:
+        return own
+    beside = held_out(study_of(before.observation, after.terms))
+    return replace(own, poses=beside.poses, loss=beside.loss)
 
 
 def only_good_poses(found: HeldOut, study: Study, remainder: Remainder) -> HeldOut:

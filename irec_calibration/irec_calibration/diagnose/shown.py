@@ -14,7 +14,7 @@ from ..identification.validation import gain
 from ..model import Term
 from ..session.data import Session
 from .assessment import Assessment
-from .held_out import Validated, validated
+from .held_out import Validated, held_out, validated
 from .settings import SETTINGS
 from .stand_in import StandIn, stand_ins
 from .study import form_evidence, study_of
@@ -98,10 +98,11 @@ def _with_form(
     Args:
         terms: of the model with it; must_show: it is better without unless evidence and held-out error ask for it.
     """
-    odds = form_evidence(plain.study, study_of(plain.study.observation, terms))
+    beside = study_of(plain.study.observation, terms)
+    odds = form_evidence(plain.study, beside)
     if odds <= (0.0 if must_show else -SETTINGS.nats_for_form):
         return odds, None
     whole = validated(session, terms)
-    mean, se, _ = gain(plain.held_out, whole.held_out)
+    mean, se, _ = gain(plain.held_out, held_out(beside))
     worse = whole.held_out.rms_m >= plain.held_out.rms_m if must_show else mean < -SETTINGS.held_out_sigmas * se
     return odds, None if worse else whole

@@ -19,7 +19,7 @@ from ..model import Term
 from ..session.data import Session
 from .build import Built, step
 from .explanation import Explanation, implausible, in_one_pose
-from .held_out import Validated, validated
+from .held_out import Validated, held_out_beside, validated
 from .naming import needed
 from .parts import prune
 from .settings import SETTINGS, Settings
@@ -80,7 +80,7 @@ def _best(
         effect_id = one.ids[-1]
         term = next(t for t in prune(one.study, (effect_id,)).study.terms if t.effect.id == effect_id)
         made = validated(session, (*before.study.terms, Term(term.effect, term.estimates)))
-        mean, se, _ = gain(before.held_out, made.held_out)
+        mean, se, _ = gain(before.held_out, held_out_beside(before.study, made.study))
         confirmed = made.study.fit.rms < before.study.fit.rms  # a fit need not reach what the linear problem promises
         if confirmed and np.isfinite(mean) and mean > settings.held_out_sigmas * se:
             return one, StandIn(effect_id, one.named - current.named, made)

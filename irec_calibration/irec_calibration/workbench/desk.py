@@ -22,6 +22,7 @@ from ..diagnose import (
     compare_observed,
     diagnose,
     held_out,
+    held_out_beside,
     remove_effect,
     start_terms,
     validated,
@@ -120,7 +121,7 @@ class Desk:
         old, new = held_out(before), held_out(after)
         version = self._version(session, after, new, made, folder, f"+ {effect.id}")
         term = next(t for t in made.terms if t.effect.id == effect.id)
-        said = addition_of(old, new, term, effect.parameters(after.ready))
+        said = addition_of(old, held_out_beside(before, after), term, effect.parameters(after.ready))
         entry = next(e for e in version.effects if e.id == effect.id)
         return Tried(
             effect.id,

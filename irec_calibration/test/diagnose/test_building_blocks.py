@@ -17,7 +17,7 @@ from irec_calibration.diagnose.evidence import Ground
 from irec_calibration.diagnose.explanation import Explanation, bent_by_others, explain, implausible, without
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.forms import forms_of
-from irec_calibration.diagnose.held_out import held_out, only_good_poses
+from irec_calibration.diagnose.held_out import held_out, held_out_beside, only_good_poses
 from irec_calibration.diagnose.lasting import lasts
 from irec_calibration.diagnose.parts import without_columns
 from irec_calibration.diagnose.remainder import Part, grow
@@ -128,6 +128,18 @@ def test_a_compliance_that_goes_with_its_own_angle_is_a_form_of_a_balancer_and_o
     for s in structures:
         assert by_balancer.has(s) == (s.softer_by_angle == 1)
         assert not by_gear.has(s)
+
+
+def test_two_models_are_compared_at_the_noise_of_the_first_whatever_each_takes_for_noise() -> None:
+    found = study(play_of_axis_4)
+    whiten = found.observation.whiten
+    doubtful = np.where(found.observation.pose == HIT, 5.0, 1.0)  # what the model leaves there passes for noise
+    noisy = replace(whiten, sigma=whiten.sigma * doubtful, sigma_reference=whiten.sigma_reference * doubtful)
+    same = study_of(replace(found.observation, whiten=noisy), found.terms)
+    before = held_out(found)
+    assert gain(before, held_out(same))[0] > 0.01, "no example: the noise makes no difference"
+    assert gain(before, held_out_beside(found, same))[0] == pytest.approx(0.0, abs=1e-3)
+    assert held_out_beside(found, same).rms_m == held_out(same).rms_m
 
 
 def test_of_two_laws_of_one_axis_that_which_explains_more_by_itself_is_asked_first() -> None:
