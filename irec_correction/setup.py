@@ -23,7 +23,7 @@ setup(
         (f"share/{NAME}/config/nodes", ["config/nodes/correction.yaml"]),
     ],
     install_requires=["irec_calibration", "numpy>=1.26,<3", "scipy>=1.11", "pin>=2.7", "PyYAML>=6.0", "python-can>=4.3"],
-    extras_require={"test": ["pytest>=7.4", "hypothesis>=6.98", "pytest-timeout>=2.2"]},  # by which colcon test knows pytest
+    extras_require={'test': ['pytest>=7.4', 'hypothesis>=6.98', 'pytest-timeout>=2.2']},  # by which colcon test knows pytest
     zip_safe=False,
     entry_points={
         "console_scripts": [

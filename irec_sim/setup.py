@@ -23,7 +23,7 @@ setup(
         *((f"share/{NAME}/config/{kind}", glob(f"config/{kind}/*")) for kind in ("cells", "robots", "truths")),
     ],
     install_requires=["numpy>=1.26,<3", "scipy>=1.11", "PyYAML>=6.0", "jsonschema>=4.10", "python-can>=4.3"],
-    extras_require={"test": ["pytest>=7.4", "hypothesis>=6.98", "pytest-timeout>=2.2"]},  # by which colcon test knows pytest
+    extras_require={'test': ['pytest>=7.4', 'hypothesis>=6.98', 'pytest-timeout>=2.2']},  # by which colcon test knows pytest
     zip_safe=False,
     entry_points={
         "console_scripts": [
