@@ -153,11 +153,12 @@ def activated(listener: Any, side: str, states: dict[str, int]) -> None:
         if states[side] == CorrectionState.ACTIVE:
             return
         states.pop(side, None)
-        lifecycle(listener, f"/{side}/correction_node", ("activate",))
+        lifecycle(listener, f"/{side}/correction_node", ("activate",), patient=True)
     raise AssertionError(f"the correction of {side} ends in a fault each time")
 
 
-def lifecycle(listener: Any, name: str, transitions: tuple[str, ...], possible: bool = True) -> None:
+def lifecycle(listener: Any, name: str, transitions: tuple[str, ...], possible: bool = True, patient: bool = False) -> None:
+    """Ask for transitions; patient: again until it can be, as a node tells its fault before it is inactive."""
     from lifecycle_msgs.srv import ChangeState
 
     ids = {"configure": 1, "activate": 3, "deactivate": 4}
@@ -167,8 +168,14 @@ def lifecycle(listener: Any, name: str, transitions: tuple[str, ...], possible: 
     for transition in transitions:
         request = ChangeState.Request()
         request.transition.id = ids[transition]
-        future = client.call_async(request)
-        until(listener, future.done, f"answer to {transition}")
+        deadline = time.monotonic() + (10.0 if patient else 0.0)
+        while True:
+            future = client.call_async(request)
+            until(listener, future.done, f"answer to {transition}")
+            if future.result().success == possible or time.monotonic() > deadline:
+                break
+            pause = time.monotonic() + 0.1
+            until(listener, lambda end=pause: time.monotonic() > end, "the next try")
         assert future.result().success == possible, f"{name}: {transition}; see its log"
 
 
