@@ -44,7 +44,7 @@ workbench: build $(HIDDEN_SESSION)/session.yaml ## a web page on a session with 
 CASE_ARGS ?=
 .PHONY: case-afp case-machining case-tables
 
-case-afp: build ## the paper's first case study on a plant as hard as the real one, beside its Table 1 (about 8 min; CASE_ARGS=--every 4)
+case-afp: build ## the paper's first case study on a plant as hard as the real one, beside its Table 1 (8 to 10 min; CASE_ARGS=--every 4)
 	@$(RUN) python tools/case.py afp $(CASE_ARGS)
 
 case-machining: build ## the same for the second case study, roughing of a dome

@@ -59,7 +59,9 @@ def test_a_correction_with_the_right_model_leaves_nothing_and_one_with_half_its_
     assert right.before.max() < 1e-12 < right.without.max()
     half = replace(
         model,
-        terms=tuple(replace(t, estimates={n: Estimate(0.5 * e.value) for n, e in t.estimates.items()}) for t in model.terms),
+        terms=tuple(
+            replace(t, estimates={n: Estimate(0.5 * e.value) for n, e in t.estimates.items()}) for t in model.terms
+        ),
     )
     assert np.allclose(on_course(course, half, study).before, 0.5 * right.without, atol=1e-12)
     assert (right.se > 0.0).all() and right.se.mean() < 0.1 * right.without.mean()

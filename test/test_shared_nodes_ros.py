@@ -82,7 +82,9 @@ def until(nodes: list[Node], condition: Callable[[], Any]) -> None:
 def test_an_error_in_a_callback_answers_the_caller_is_told_in_diagnostics_and_the_node_goes_on(context: None) -> None:
     node, other = Fragile(), Node("other", namespace="/cell_a")
     told: dict[str, str] = {}
-    other.create_subscription(DiagnosticArray, "/diagnostics", lambda m: told.update({s.name: s.message for s in m.status}), 100)
+    other.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda m: told.update({s.name: s.message for s in m.status}), 100
+    )
     words, ask = other.create_publisher(String, "word", 10), other.create_client(Trigger, "ask")
     found = (ask.service_is_ready, words.get_subscription_count, lambda: node.count_subscribers("/diagnostics"))
     until([node, other], lambda: all(condition() for condition in found))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`make case-afp`, `make case-machining`: the paper's two case studies on plants as hard as the real ones, beside its Table 1.
 
-    python tools/case.py afp                 the case, about 8 minutes on two free cores; interrupted, it goes on where it was
+    python tools/case.py afp                 the case, 8 to 10 minutes on two free cores; interrupted, it goes on where it was
     python tools/case.py afp --every 4       only every fourth course
     python tools/case.py afp --no-nodes      calibration session generated directly, without ROS
     python tools/case.py afp --costs         what each cause of the hard plant costs alone

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Procedure and calibration services for one cell; the robot's driver (or irec_sim) is started by itself.
 
-ros2 launch irec_calibration calibration.launch.py cell:=/path/to/cell.yaml [namespace:=cell_a]
+    ros2 launch irec_calibration calibration.launch.py cell:=/path/to/cell.yaml [namespace:=cell_a]
 """
 
 from launch import LaunchDescription

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Record what a cell publishes.
 
-ros2 launch irec_calibration recorder.launch.py output:=/path/to/folder [params:=/path/to/recorder.yaml] [namespace:=cell_a]
+    ros2 launch irec_calibration recorder.launch.py output:=/path/to/folder [params:=/path/to/recorder.yaml] [namespace:=cell_a]
 """
 
 from launch import LaunchDescription

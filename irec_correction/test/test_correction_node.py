@@ -75,7 +75,9 @@ def activate_again(side):
     side.until(lambda: side.states[-1].state == 2, what="ACTIVE again")
 
 
-def test_a_node_that_comes_back_takes_the_calibration_in_force_and_waits_to_be_activated(ros_domain, start_process, tmp_path):
+def test_a_node_that_comes_back_takes_the_calibration_in_force_and_waits_to_be_activated(
+    ros_domain, start_process, tmp_path
+):
     store = Store(tmp_path, read_cell(CELL).serial)
     (tmp_path / "new").mkdir()
     path = afp_model(tmp_path / "new")

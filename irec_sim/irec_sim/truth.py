@@ -98,9 +98,7 @@ class Truth:
         return {
             "format": FORMAT,
             "compliance": {
-                "axial": self.axial.tolist(),
-                "transverse": self.transverse.tolist(),
-                "centre": self.centre.tolist(),
+                "axial": self.axial.tolist(), "transverse": self.transverse.tolist(), "centre": self.centre.tolist(),
                 "spread": 0.0,
             },
             "background_friction": self.friction,

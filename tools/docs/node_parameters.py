@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes config/nodes/correction.yaml, config/nodes/rsi.yaml and docs/node-parameters.md from what the nodes declare.
 
-. tools/env.sh && python tools/docs/node_parameters.py
+    . tools/env.sh && python tools/docs/node_parameters.py
 """
 
 from __future__ import annotations

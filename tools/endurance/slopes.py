@@ -29,7 +29,9 @@ def sample(hours: float, pid: int | str = "self") -> Sample:
     """What a process holds now."""
     root = Path(f"/proc/{pid}")
     status = dict(line.split(":", 1) for line in (root / "status").read_text().splitlines() if ":" in line)
-    return Sample(hours, float(status["VmRSS"].split()[0]), len(list((root / "fd").iterdir())), int(status["Threads"]))
+    return Sample(
+        hours, float(status["VmRSS"].split()[0]), len(list((root / "fd").iterdir())), int(status["Threads"])
+    )
 
 
 @dataclass(frozen=True)

@@ -358,3 +358,5 @@ class CorrectionSide:
 def _name(state: int) -> str:
     names = {INACTIVE: "INACTIVE", RAMP_IN: "RAMP_IN", ACTIVE: "ACTIVE", HOLD: "HOLD", FADE: "FADE", FAULT: "FAULT"}
     return names.get(state, str(state))
+
+

@@ -214,7 +214,9 @@ def _build(path: Path, raw: dict[str, Any], robot: Robot, surface: Surface) -> C
     robot_, tool, limits, loads = (top.section(k) for k in ("robot", "tool", "limits", "load_cases"))
     payload = tool.section("payload")
     noise = top.section("noise")
-    stations = tuple(Station(str(s.get("name")), s.vector("xyz", 3), s.rotation("quat_xyzw")) for s in top.sections("stations"))
+    stations = tuple(
+        Station(str(s.get("name")), s.vector("xyz", 3), s.rotation("quat_xyzw")) for s in top.sections("stations")
+    )
     return Cell(
         name=str(top.get("name")),
         path=path,

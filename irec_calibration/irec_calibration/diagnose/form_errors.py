@@ -33,7 +33,9 @@ def evidence_beside(one: Explanation, effect_id: str, larger: Sequence[str], set
 def _deviations(study: Study, terms: Sequence[Term], share: float) -> Block:
     """Displacement of each part of some effects times each shape over the rows; a prior width of 1 is that share of it."""
     over = np.concatenate(list(shapes(study).values()), axis=1)
-    columns = [share * study.columns(moved[:, :, None] * over[:, None, :]) for term in terms for moved in _by_part(study, term)]
+    columns = [
+        share * study.columns(moved[:, :, None] * over[:, None, :]) for term in terms for moved in _by_part(study, term)
+    ]
     A = np.concatenate(columns, axis=1)
     free = np.full(A.shape[1], np.inf)
     return Block(A, -free, free, np.ones(A.shape[1]))

@@ -104,7 +104,9 @@ def _check(gram: Array, rhs: Array, low: Array, high: Array) -> None:
         ) from None
 
 
-def _sweep(gram: Array, rhs: Array, low: Array, high: Array, side: IntArray, fixed: BoolArray) -> tuple[Array, IntArray, Array]:
+def _sweep(
+    gram: Array, rhs: Array, low: Array, high: Array, side: IntArray, fixed: BoolArray
+) -> tuple[Array, IntArray, Array]:
     """Solve for the free variables: x, the side on which each variable should be, how badly it is on the wrong one."""
     eps = np.finfo(float).eps
     free = side == 0

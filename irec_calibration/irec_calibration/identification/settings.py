@@ -42,7 +42,9 @@ class AbsoluteThresholds(Thresholds):
         "an error that follows the angle hardly changes over 1 degree",
     )  # fmt: skip
     near_m: float = threshold(0.01, "m", "the same of external axes and sliding joints", "as 0.02 rad at half a metre")
-    fewest_pairs: int = threshold(10, "pairs", "of close poses; fewer do not tell the noise", "a level from 10: within 25 %")
+    fewest_pairs: int = threshold(
+        10, "pairs", "of close poses; fewer do not tell the noise", "a level from 10: within 25 %"
+    )
     in_pairs: int = threshold(
         4, "poses", "of the poses that models are compared on, one in so many may be kept for having a neighbour",
         "the rest stays spread over the session",
@@ -51,7 +53,9 @@ class AbsoluteThresholds(Thresholds):
         0.6, "of the residual", "difference within pairs of close poses below which the residual repeats with the pose",
         "independent errors would differ by 1.4 times their size",
     )  # fmt: skip
-    fewest_of_marker: int = threshold(20, "rows", "fewer do not tell how well a marker fits", "a level from 20: within 20 %")
+    fewest_of_marker: int = threshold(
+        20, "rows", "fewer do not tell how well a marker fits", "a level from 20: within 20 %"
+    )
     least_left: float = threshold(
         0.1, "share of the noise's variance", "that a fit is taken to leave at least, where the residual tells the noise",
         "a fit that takes up more tells nothing",

@@ -65,7 +65,9 @@ def arguments_of(command: str, session: str, model: str, effect: str, output: st
 
 def run_command(arguments: list[str]) -> dict[str, Any]:
     """Run one `irec` command in a process of its own; its JSON. IrecError with its message where it fails."""
-    done = subprocess.run([sys.executable, "-m", "irec_calibration.cli", *arguments], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "irec_calibration.cli", *arguments], capture_output=True, text=True, check=False
+    )
     if done.returncode not in (0, 1) or not done.stdout.strip():
         lines = done.stderr.strip().splitlines()
         raise IrecError(lines[-1] if lines else f"irec {arguments[0]} ended with code {done.returncode}")

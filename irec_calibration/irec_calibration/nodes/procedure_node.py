@@ -151,7 +151,9 @@ class ProcedureNode(GuardedLifecycleNode):
         values = {name: self.parameters[name] for name in (p.name for p in PARAMETERS)}
         simulated = bool(self.get_parameter("use_sim_time").value)
         try:
-            run = ProcedureRun(goal.request, self.cell, self.settings, values, self._instruments, self._link, simulated)
+            run = ProcedureRun(
+                goal.request, self.cell, self.settings, values, self._instruments, self._link, simulated
+            )
         except IrecError as error:
             self.get_logger().error(str(error))
             self._finish(RunProcedure.Result(success=False, message=str(error)))

@@ -69,7 +69,9 @@ class Chain:
         return p, R @ self.R_tool, np.concatenate([linear, angular], axis=2).swapaxes(1, 2)
 
 
-def solve_tool_axis(chain: Chain, p: Array, z: Array, start: Array, rest: Array | None = None) -> tuple[Array, BoolArray]:
+def solve_tool_axis(
+    chain: Chain, p: Array, z: Array, start: Array, rest: Array | None = None
+) -> tuple[Array, BoolArray]:
     """Joint angles that put the TCP at a point with tool z along a direction; rotation about tool z is left free.
 
     Args:

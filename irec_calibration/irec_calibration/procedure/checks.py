@@ -73,12 +73,7 @@ def plan_targets(cell: Cell, settings: Settings, q: Array, rail: Array, numbers:
         path = np.array([p_approach, kin.p_tcp[i]])
         targets.append(
             Target(
-                number,
-                q_approach[i],
-                None if cell.rail is None else float(rail[i]),
-                kin.R_tool[i],
-                p_approach,
-                p_reference,
+                number, q_approach[i], None if cell.rail is None else float(rail[i]), kin.R_tool[i], p_approach, p_reference,
                 reasons[failed[i]] or _out_of_bounds(cell, settings, path, float(rail[i])),
                 levers(J[i], revolute, 0 if cell.rail is None else 1),
             )  # fmt: skip

@@ -151,7 +151,6 @@ def test_a_model_of_a_later_format_is_refused(tmp_path):
     with pytest.raises(ModelError, match="this program reads irec-model/1"):
         load_model(tmp_path / "m.yaml")
 
-
 def test_an_effect_from_a_file_gets_parts_priors_and_a_place_in_the_diagnosis(tmp_path):
     from irec_calibration.diagnose.candidates import try_effect
     from irec_calibration.diagnose.study import prepare

@@ -17,7 +17,9 @@ from sensor_msgs.msg import Temperature
 pytestmark = [pytest.mark.ros]
 
 
-def test_thermometers_that_are_found_after_the_look_has_begun_are_heard(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thermometers_that_are_found_after_the_look_has_begun_are_heard(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A cell that was just switched on is found bit by bit; a cold machine would pass for one without thermometers."""
     monkeypatch.setattr(module, "LOOK_SECONDS", 4.0)
     monkeypatch.setattr(module, "LOOK_LONGEST", 10.0)  # there is nothing else to see: it looks for so long

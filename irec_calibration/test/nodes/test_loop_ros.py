@@ -110,6 +110,7 @@ class Operator:
         self.until(future.done)
         return future.result()
 
+
     def pace(self, speed_factor: float) -> None:
         """Let the cell run faster, or slower: while a session is computed on, nothing that happens there is asked for."""
         speed = Parameter("speed_factor", value=speed_factor).to_parameter_msg()

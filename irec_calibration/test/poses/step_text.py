@@ -59,7 +59,9 @@ def rounded_shell(radius: float, length: float, half_angle: float, in_mm: bool =
     s = _Lines()
     y, z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     ends = (0.0, -0.5 * length, 0.0), (0.0, 0.5 * length, 0.0)
-    corners = [(radius * math.sin(a), c[1], radius * math.cos(a)) for c in ends for a in (-half_angle, half_angle)]
+    corners = [
+        (radius * math.sin(a), c[1], radius * math.cos(a)) for c in ends for a in (-half_angle, half_angle)
+    ]
     vertices = [s.add(f"VERTEX_POINT('',#{s.triple('CARTESIAN_POINT', p)})") for p in corners]
     arcs = [
         s.edge(vertices[2 * k], vertices[2 * k + 1], s.add(f"CIRCLE('',#{s.frame(c, y, z)},{radius:.9f})"))

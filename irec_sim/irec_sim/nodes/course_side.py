@@ -28,7 +28,9 @@ SAMPLE_STEPS = 5  # steps of the cell between samples of the record
 class CourseSide:
     """Serves on a node of its own, so that the cell goes on listening while the course is being driven."""
 
-    def __init__(self, node: Node, cell: Cell, loop: SimulationLoop, robot: RobotSide, asked_to_stop: threading.Event) -> None:
+    def __init__(
+        self, node: Node, cell: Cell, loop: SimulationLoop, robot: RobotSide, asked_to_stop: threading.Event
+    ) -> None:
         self._node, self._cell, self._loop, self._robot, self._asked_to_stop = node, cell, loop, robot, asked_to_stop
         self._parameters = Parameters(node, PARAMETERS)
         node.create_service(Trigger, "sim/run_course", self._on_run)
