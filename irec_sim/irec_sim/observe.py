@@ -57,8 +57,8 @@ class Rows:
         q: reported joint angles, rad; p_controller: the controller's TCP in base_link, m.
         p_marker: marker in the frame of the station, m; distance: from it, m.
         force_reading: in tool0, N; wrench_force: true force in tool0, N.
-        p_tcp: physical TCP in base_link, m, without what no process force causes: what drifts with time, and joint angles that
-            were read early.
+        p_tcp: physical TCP in base_link, m, without what drifts with time, and joint angles that were read early.
+        p_unloaded: the same had no process force acted since the reference.
         station: index of the station of each pose, (N,).
         shifted: rows after a station was bumped, (N, M + 1) bool.
         q_before: where each pose's reference was approached from, (N, joints), rad.
@@ -72,6 +72,7 @@ class Rows:
     force_reading: Array
     wrench_force: Array
     p_tcp: Array
+    p_unloaded: Array
     station: Array
     shifted: BoolArray
     q_before: Array
@@ -79,8 +80,8 @@ class Rows:
 
     @property
     def deflection(self) -> Array:
-        """How much more the physical TCP has moved since the reference than the controller's, (N, M, 3), m in base_link."""
-        return (self.p_tcp - self.p_tcp[:, :1] - self.p_controller + self.p_controller[:, :1])[:, 1:]
+        """What the process force has caused at the physical TCP, (N, M, 3), m in base_link: against the same arm without it."""
+        return (self.p_tcp - self.p_unloaded)[:, 1:]
 
     def apparent_deflection(self, cell: CellFile) -> Array:
         """Marker displacement minus the controller's, per loaded row, (N, M, 3), m; what a session shows of the arm."""
@@ -122,7 +123,8 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
     for _ in range(4):
         pose = forward(chain, q)
         q = q + _solve(pose.jacobian(), p_reference - pose.p_tcp)
-    collected: dict[str, list[Array]] = {k: [] for k in ("q", "controller", "marker", "distance", "reading", "tcp", "link")}
+    kept = ("q", "controller", "marker", "distance", "reading", "tcp", "unloaded", "link")
+    collected: dict[str, list[Array]] = {k: [] for k in kept}
     shifted = schedule.stamp >= bumped
     state: State | None = None
     frees = np.isfinite(physics.plant.release)
@@ -138,6 +140,7 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
             state, frames = plant.equilibrium(motor, idle, state)
             p_contact = frames.p_tcp + frames.R_tool[:, :, 2] * schedule.gap[:, None]
             q_last, motor_last, loaded = q, motor, idle
+            unloaded, without, frames_without = idle, state, frames
         else:
             before, force = loaded, schedule.force[:, j]
             give = np.stack([-force[:, 0] / DISC_TANGENTIAL, -force[:, 1] / DISC_TANGENTIAL, -force[:, 2] / DISC_NORMAL], axis=1)
@@ -157,6 +160,10 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
             begin = plant.released(frames_last, motor_last, before, last, motor - motor_last) if frees else last
             loaded = replace(loaded, force=(frames.R_tool @ force[:, :, None])[..., 0])
             state, frames = plant.equilibrium(motor, loaded, replace(begin, e=state.e), dt)
+            if frees:
+                without = plant.released(frames_without, motor_last, unloaded, without, motor - motor_last)
+            unloaded = replace(conditions_at(schedule, j, base_in_cell, np.zeros((N, 3))), process_on=np.zeros(N, dtype=bool))
+            without, frames_without = plant.equilibrium(motor, unloaded, without, dt)
             q_last, motor_last = q, motor
         controller = forward(chain, q)
         drifted = frames.p_tcp + drift_at(sensing, schedule.stamp[:, j], schedule.ambient[:, j])
@@ -176,11 +183,13 @@ def _run(cell: CellFile, physics: Physics, schedule: Schedule, q_before: Array |
         collected["distance"].append(distance)
         collected["reading"].append(reading)
         collected["link"].append(motor + state.e[:, plant.axial])
-        collected["tcp"].append(frames.p_tcp - beyond_reported(sensing, controller.jacobian(), step))
+        early = beyond_reported(sensing, controller.jacobian(), step)
+        collected["tcp"].append(frames.p_tcp - early)
+        collected["unloaded"].append(frames_without.p_tcp - early)
     stacked = {k: np.stack(v, axis=1) for k, v in collected.items()}
     return Rows(
         stacked["q"], stacked["controller"], stacked["marker"], stacked["distance"], stacked["reading"], schedule.force,
-        stacked["tcp"], schedule.station, shifted, q if q_before is None else q_before,
+        stacked["tcp"], stacked["unloaded"], schedule.station, shifted, q if q_before is None else q_before,
         stacked["link"],
     )  # fmt: skip
 

@@ -10,7 +10,7 @@ import numpy as np
 from .kinematics import Array, forward
 from .observe import arrived, conditions_at
 from .plant import Conditions, Frames, Plant, State
-from .sensing import SensingParameters, beyond_reported, drift_at, motor_angles, tracker_reading, true_force
+from .sensing import SensingParameters, drift_at, motor_angles, tracker_reading, true_force
 from .session import Generated
 from .truth import Truth
 from .truth_catalogue import Physics
@@ -18,16 +18,15 @@ from .truth_catalogue import Physics
 STEP = 1e-3  # of a finite difference, in widths of what is changed
 
 
-class Replay:
-    """The rows of one pass again under other physics, at the joint angles and force readings that were recorded.
+class _Course:
+    """The arm along the rows of one pass, with the process force or without, as other physics bend it.
 
     Lever arms are taken from the true equilibrium; the change by other parameters is of first order in the deflection.
     """
 
-    def __init__(self, made: Generated, repeat: int, physics: Physics, readings: Array) -> None:
-        """readings: of the force sensor, (N, M + 1, 3), N."""
+    def __init__(self, made: Generated, repeat: int, physics: Physics, process: bool) -> None:
         self.cell, self.schedule, self.rows = made.cell, made.schedules[repeat], made.rows[repeat]
-        self.readings, self._true = readings, physics
+        self._true, self._process = physics, process
         self._frames: list[Frames] = []
         self._e: list[Array] = []
         self._motor = self._motor_angles(physics.sensing)
@@ -36,7 +35,7 @@ class Replay:
         frames = before = None
         for j in range(self.rows.q.shape[1]):
             R = self._frames[-1].R_tool if self._frames else forward(self.cell.chain, self.rows.q[:, 0]).R_tool
-            conditions = self._conditions(j, self.schedule.force[:, j], R)
+            conditions = self._conditions(j, self.schedule.force[:, j] * process, R)
             if state is None:
                 state = plant.relaxed(self._motor[0], conditions, arrived(self.rows.q[:, 0]))
             elif frames is not None and before is not None and np.isfinite(physics.plant.release):
@@ -45,26 +44,31 @@ class Replay:
             state, frames = plant.equilibrium(self._motor[j], conditions, state, self._dt(j), tolerance=1e-11)
             self._frames.append(frames)
             self._e.append(state.e)
-        self._plant = plant
+        self.turns = plant.turns
 
     def _dt(self, j: int) -> Array:
         stamp = self.schedule.stamp
         return stamp[:, j] - stamp[:, j - 1] if j else np.zeros(len(stamp))
 
-    def _step(self, j: int) -> Array:
+    def step(self, j: int) -> Array:
         q = self.rows.q
         return np.asarray(q[:, j] - (q[:, j - 1] if j else self.rows.q_before))
 
     def _motor_angles(self, sensing: SensingParameters) -> list[Array]:
-        return [motor_angles(sensing, self.rows.q[:, j], self._step(j)) for j in range(self.rows.q.shape[1])]
+        return [motor_angles(sensing, self.rows.q[:, j], self.step(j)) for j in range(self.rows.q.shape[1])]
 
     def _conditions(self, j: int, force: Array, R_tool: Array) -> Conditions:
         axis = self.cell.rail[0] if self.cell.rail is not None else np.zeros(3)
         conditions = conditions_at(self.schedule, j, self.schedule.poses.rail[:, None] * axis, force)
+        if not self._process:
+            return replace(conditions, process_on=np.zeros(len(force), dtype=bool))
         return replace(conditions, force=(R_tool @ force[:, :, None])[..., 0]) if j else conditions
 
-    def _strains(self, physics: Physics) -> list[tuple[Frames, Array]]:
-        """Configuration from which lever arms are taken, and change of the elastic coordinates against it, row by row."""
+    def strains(self, physics: Physics, readings: Array) -> list[tuple[Frames, Array]]:
+        """Configuration from which lever arms are taken, and change of the elastic coordinates against it, row by row.
+
+        readings: of the force sensor, (N, M + 1, 3), N; without the process force not read.
+        """
         sensing = physics.sensing
         plant = Plant(self.cell.chain, physics.plant, whole=True)
         motor = self._motor_angles(sensing)
@@ -76,9 +80,10 @@ class Replay:
         for j, (frames, e_true) in enumerate(zip(self._frames, self._e, strict=True)):
             if moved:
                 frames = plant.frames(motor[j], e_true)
-            force = true_force(
-                sensing, self.cell.sensor_axis, self.readings[:, j], frames.R_tool, force, self.schedule.ambient[:, j]
-            )
+            if self._process:
+                force = true_force(
+                    sensing, self.cell.sensor_axis, readings[:, j], frames.R_tool, force, self.schedule.ambient[:, j]
+                )
             conditions = self._conditions(j, force, frames.R_tool)
             if state is None:
                 state = plant.at_rest(frames, motor[j], conditions, arrived(self.rows.q[:, 0]))
@@ -89,19 +94,29 @@ class Replay:
             out.append((frames, state.e - e_true))
         return out
 
+
+class Replay:
+    """What the rows of one pass show under other physics, at the joint angles and force readings that were recorded."""
+
+    def __init__(self, made: Generated, repeat: int, physics: Physics, readings: Array) -> None:
+        """readings: of the force sensor, (N, M + 1, 3), N."""
+        self.cell, self.schedule, self.rows, self.readings = made.cell, made.schedules[repeat], made.rows[repeat], readings
+        self._course, self._without = (_Course(made, repeat, physics, process) for process in (True, False))
+
     def __call__(self, physics: Physics) -> tuple[Array, Array]:
-        """Displacement of the marker, seen with the stated stations, and of the TCP against the controller's, since the
-        reference, (N, M, 3) each, m."""
+        """Displacement of the marker since the reference, seen with the stated stations, and of the TCP by the process force,
+        (N, M, 3) each, m."""
         sensing, tcp, seen = physics.sensing, [], []
-        for j, (frames, de) in enumerate(self._strains(physics)):
+        without = self._without.strains(physics, self.readings)
+        for j, (frames, de) in enumerate(self._course.strains(physics, self.readings)):
             p = frames.p_tcp + (de[:, None] @ frames.lever)[:, 0]
-            turn = (de[:, None] @ self._plant.turns(frames))[:, 0]
+            turn = (de[:, None] @ self._course.turns(frames))[:, 0]
             arm = (frames.R_tool @ (self.cell.marker_in_tool0 + sensing.marker_error)[:, None])[..., 0]
-            jacobian = forward(self.cell.chain, self.rows.q[:, j]).jacobian()
-            tcp.append(p - beyond_reported(sensing, jacobian, self._step(j)) - self.rows.p_controller[:, j])
+            frames, de = without[j]
+            tcp.append(p - frames.p_tcp - (de[:, None] @ frames.lever)[:, 0])
             drifted = p + drift_at(sensing, self.schedule.stamp[:, j], self.schedule.ambient[:, j])
             seen.append(self._measured(sensing, drifted + arm + np.cross(turn, arm), j))
-        return since_reference(np.stack(seen, axis=1)), since_reference(np.stack(tcp, axis=1))
+        return since_reference(np.stack(seen, axis=1)), np.stack(tcp[1:], axis=1)
 
     def compliance_columns(self, truth: Truth) -> tuple[Array, Array]:
         """Derivative of both displacements by the logarithm of each compliance of the joints, (3 n, N, M, 3) each, m.
@@ -109,15 +124,19 @@ class Replay:
         All are changed at once: a spring's own angle answers to its own compliance only.
         """
         softer = replace(truth, axial=truth.axial * (1.0 + STEP), transverse=truth.transverse * (1.0 + STEP))
+        joints = slice(6, 6 + 3 * self.cell.chain.n)
+
+        def by_springs(course: _Course) -> list[tuple[Frames, Array]]:
+            both = (course.strains(t.physics(), self.readings) for t in (truth, softer))
+            return [(frames, (b - a)[:, joints, None] / STEP) for (frames, a), (_, b) in zip(*both, strict=True)]
+
         seen, tcp = [], []
-        for (frames, a), (_, b) in zip(self._strains(truth.physics()), self._strains(softer.physics()), strict=True):
-            joints = slice(6, 6 + 3 * self.cell.chain.n)
-            by_spring = ((b - a) / STEP)[:, joints, None]
+        for (frames, de), (free, de_free) in zip(by_springs(self._course), by_springs(self._without), strict=True):
             arm = (frames.R_tool @ self.cell.marker_in_tool0[:, None])[..., 0]
-            tcp.append(by_spring * frames.lever[:, joints])
-            seen.append(tcp[-1] + np.cross(by_spring * frames.axis[:, joints], arm[:, None]))
-        return (since_reference(np.stack(seen, axis=1).transpose(2, 0, 1, 3), 2),
-                since_reference(np.stack(tcp, axis=1).transpose(2, 0, 1, 3), 2))  # fmt: skip
+            at_tcp = de * frames.lever[:, joints]
+            tcp.append(at_tcp - de_free * free.lever[:, joints])
+            seen.append(at_tcp + np.cross(de * frames.axis[:, joints], arm[:, None]))
+        return since_reference(np.stack(seen, axis=1).transpose(2, 0, 1, 3), 2), np.stack(tcp[1:], axis=1).transpose(2, 0, 1, 3)
 
     def _measured(self, sensing: SensingParameters, p_marker: Array, j: int) -> Array:
         """In base_link with the stated pose of the station."""

@@ -410,6 +410,16 @@ def test_the_true_force_is_read_back_from_the_reading():
     assert np.allclose(true_force(physics.sensing, AFP.sensor_axis, read, R), force, atol=1e-9)
 
 
+@pytest.mark.parametrize("effect", ["geometry_error", "encoder_harmonics", "joint_settling"])
+def test_what_wrong_joint_angles_and_lengths_make_of_the_commanded_displacement_is_no_part_of_the_true_deflection(effect):
+    rng = np.random.default_rng(0)
+    schedule = make_schedule(AFP, spread_poses(AFP, 4, rng), 0.0, rng)
+    wrong = make_truth("afp", [effect], 1).scaled(effect, 3.0)
+    with_it, plain = (simulate(AFP, t.physics(), schedule) for t in (wrong, wrong.without(effect)))
+    seen = np.abs(with_it.apparent_deflection(AFP) - plain.apparent_deflection(AFP)).max()
+    assert np.abs(with_it.deflection - plain.deflection).max() < 0.1 * seen
+
+
 def test_what_passes_with_time_is_no_part_of_the_true_deflection():
     rng = np.random.default_rng(0)
     schedule = make_schedule(AFP, spread_poses(AFP, 4, rng), 0.0, rng)

@@ -7,7 +7,7 @@ less than the model leaves, by a structure that helps on held-out poses, or by a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -78,6 +78,11 @@ class Assessment:
         return self.built.final.ids
 
     @property
+    def stand_out(self) -> tuple[Part, ...]:
+        """Rows and references that stand out and count for nothing."""
+        return (*self.asked.apart, *self.remainder.bad_rows)
+
+    @property
     def weight_wrong(self) -> bool:
         return self.readings is not None and self.readings.log_evidence > SETTINGS.nats_to_name
 
@@ -112,7 +117,8 @@ def assess(
         evidence.append("held_out_structure")
     if flexible.significant:
         evidence.append("flexible_regression")
-    if len(rest.bad_rows) >= settings.several and _put_aside(study, rest) > settings.most_put_aside:
+    aside = (*asked.apart, *rest.bad_rows)
+    if len(aside) >= settings.several and _put_aside(study, aside) > settings.most_put_aside:
         evidence.append("readings_that_stand_out")
     if not evidence and rest.structures:
         bad = only_bad_rows(study, built.family)
@@ -227,11 +233,11 @@ def _size(study: Study, known: Block, ground: Ground) -> float:
     return rms(alone - with_it)
 
 
-def _put_aside(study: Study, rest: Remainder) -> float:
+def _put_aside(study: Study, aside: Sequence[Part]) -> float:
     """Share of all readings that count for nothing because they stand out; the reference of a pose is one of them."""
     references = study.ready.reference[study.observation.rows]
     readings = len(references) + len(np.unique(references[references >= 0]))
-    return sum(p.structure.columns.stop - p.structure.columns.start for p in rest.bad_rows) / (3.0 * max(readings, 1))
+    return sum(p.structure.columns.stop - p.structure.columns.start for p in aside) / (3.0 * max(readings, 1))
 
 
 def _beside_repeats(study: Study, repeats: Repeats) -> float:

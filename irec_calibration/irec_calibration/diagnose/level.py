@@ -15,6 +15,7 @@ from ..identification.noise import InferredNoise, level_of, pure_error
 from ..identification.observe import Observation
 from ..model import Term
 from ..typing import Array
+from .accidents import accidents
 from .evidence import Ground
 from .family import Family, Structure, family_of, with_bad_rows
 from .remainder import Part, Remainder, grow
@@ -44,13 +45,15 @@ class Repeats:
 
 def with_inferred_level(
     observation: Observation, terms: Sequence[Term], settings: Settings = SETTINGS
-) -> tuple[Study, tuple[Part, ...]]:
-    """A model fitted to a session at the noise level that model and remainder leave together; rows that stand out."""
+) -> tuple[Study, tuple[Part, ...], tuple[Part, ...]]:
+    """A model fitted to a session at the noise level that model and remainder leave together; rows that stand out, and those of
+    them that are accidents for certain."""
     observation = replace(observation, whiten=observation.whiten.scaled(1.0 / observation.whiten.level))
     first, remainder = _beside_wander(study_of(observation, terms), settings)
     level = level_beside(first, remainder, settings)
     found = first.observation
-    return study_of(replace(found, whiten=found.whiten.scaled(level)), first.terms), remainder.bad_rows
+    study = study_of(replace(found, whiten=found.whiten.scaled(level)), first.terms)
+    return study, remainder.bad_rows, accidents(first, remainder, settings)
 
 
 def _beside_wander(first: Study, settings: Settings) -> tuple[Study, Remainder]:

@@ -8,10 +8,12 @@ from collections.abc import Callable, Sequence
 from ..effects.traits import Family as Alike
 from .candidates import Option, try_option
 from .evidence import Ground
-from .explanation import Explanation, explain, implausible, remainder_of, reshaped_again, shown_by_readings, without
+from .explanation import Explanation, explain, implausible, in_one_pose, remainder_of, reshaped_again, shown_by_readings, without
 from .family import Family
 from .forms import Forms, forms_of
+from .lasting import lasts
 from .readings import proved
+from .remainder import grow
 from .settings import Settings
 
 Check = Callable[[], None]
@@ -60,6 +62,8 @@ def rivals_of(
             one = explain(start, bare, trial, family)
             if one is None or implausible(one, other):  # no value that can be is no rival
                 continue
+            if in_one_pose(one, other) and lasts(one.study, one.term(other)) < settings.nats_to_name:
+                continue  # it may as well be a bad reading, which is asked beside both
             if shown - shown_by_readings(one, other) > settings.nats_to_separate:
                 continue
             if sure and not one.term(other).effect.in_readings:
@@ -72,13 +76,13 @@ def rivals_of(
                 one = max(one, then, key=lambda e: e.log_evidence)
             own_forms = forms_of(one.term(other), one.study.ready)
             own = _without_forms(one, family, own_forms) - _without_forms(bare, family, own_forms)
-            by_name = one.named - bare.named
-            if own < settings.nats_to_prefer or by_name < settings.share_of_rival * (final.named - bare.named):
+            by_themselves, by_rival, by_none = _beside_bad_rows((final, one, bare), family)
+            if own < settings.nats_to_prefer or by_rival - by_none < settings.share_of_rival * (by_themselves - by_none):
                 continue  # what has no name explains it there, not this effect
             # whether a reading stands out a little is asked beside both
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final)
-            raw = min(odds, final.named - one.named)
-            counts = as_they_count(raw, final.named - bare.named, law, settings)
+            raw = min(odds, by_themselves - by_rival)
+            counts = as_they_count(raw, by_themselves - by_none, law, settings)
             # what has no name may tell them apart no better than they do themselves
             if odds < settings.nats_to_separate or counts < settings.nats_to_prefer:
                 same.append((other, counts))
@@ -98,6 +102,17 @@ def as_they_count(odds: float, own: float, law: bool, settings: Settings) -> flo
         return odds
     beyond = settings.nats_to_separate - settings.nats_to_prefer + settings.share_of_form * own
     return max(odds - beyond, min(odds, 0.01))  # the likelier of two stays the likelier
+
+
+def _beside_bad_rows(models: Sequence[Explanation], family: Family) -> list[float]:
+    """Log evidence of models without what has no name, but for the readings that stand out of any of them.
+
+    A step in one pose would else be a rival of everything in a session with a bad reading: it alone explains that one.
+    """
+    bad = {id(p.structure): p for one in models for p in one.remainder.bad_rows}
+    if not bad:
+        return [one.named for one in models]
+    return [one.named + grow(one.study.bench, family, one.study.base, tuple(bad.values()), most=0).gained for one in models]
 
 
 def _without_forms(one: Explanation, family: Family, forms: Forms, other: Explanation | None = None) -> float:

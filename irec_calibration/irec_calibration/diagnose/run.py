@@ -101,7 +101,7 @@ def examine(
     if left is not None:
         # what is named now was taken for noise before: weigh everything again at the noise that is left
         say(0.5 * (done.fitted + done.built), "weighing the effects again at the noise that is left")
-        asked, study = study_of(left, asked.terms), study_of(left, study.terms)
+        asked, study = replace(study_of(left, asked.terms), apart=asked.apart), study_of(left, study.terms)
         built = build(study, check)
     say(done.built, "weighing the evidence")
     relaxed = session.kind == "loaded" and session.contact is None  # references bear no force
@@ -116,7 +116,7 @@ def examine(
     whiten = study.observation.whiten
     observation = replace(study.observation, whiten=whiten.scaled(assessment.noise.inferred_m / whiten.floor))
     comparison = compare_observed(observation, first.study.terms, first.study.fit.rank)
-    bad, aside = study.observation.bad, assessment.remainder.bad_rows
+    bad, aside = study.observation.bad, assessment.stand_out
     later = shown.best.study.observation.bad
     comparison = replace(comparison, notes=one_note_each(comparison.notes, bad, aside, later))
     where = views(observation, comparison.residual, comparison.predicted)

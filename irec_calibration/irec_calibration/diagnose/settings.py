@@ -139,6 +139,14 @@ class Settings(Thresholds):
         3, "rows, references or poses", "that stand out at least, before their share says anything",
         "one or two are bad luck in a session of any length",
     )  # fmt: skip
+    nats_of_accident: float = threshold(
+        40.0, "nats", "evidence that a row or a reference stands out, from which it is an accident before causes are weighed",
+        "twice what a name needs that one pose shows; in 127 sessions of other physics no cause brought 30 in one reading",
+    )  # fmt: skip
+    accident_size: float = threshold(
+        3.0, "times the largest other residual", "from which such a row is one",
+        "causes that are missing bend more than one reading",
+    )  # fmt: skip
     share_of_form: float = threshold(
         0.03, "share of evidence", "of the nonparametric structures that a name replaces, that it must bring more than they do",
         "polynomials of the generic family lose that much where they stand for a cause of another form",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects import Cause, find_effect
+from ..effects import find_effect, is_predicted
 from ..identification.validation import gain
 from ..model import Term
 from ..session.data import Session
@@ -90,6 +90,6 @@ def _best(
 def _may(one: Explanation, settings: Settings) -> bool:
     """Whether predictions have an effect, at values that can be, and more than one pose shows it."""
     effect_id = one.ids[-1]
-    if find_effect(effect_id).cause not in (Cause.LOAD, Cause.STATE):
+    if not is_predicted(find_effect(effect_id).cause, one.study.session.kind):
         return False
     return not in_one_pose(one, effect_id) and not implausible(one, effect_id)

@@ -40,8 +40,8 @@ class Study:
         ready: scene under the model's wrench corrections, with the elastic response of its springs attached.
         base: columns of the model's own parameters; owners: effect id of each; parameters.
         scale: physical value of one scaled unit, (p,).
-        apart: rows that stand out and have noise of their own in it (`apart.py`); as_stated: the same without that, None where no
-            row stands out.
+        apart: rows that stand out and have noise of their own in it (`apart.py`); as_stated: the same with that for
+            accidents only (`accidents.py`), None where no row stands out.
     """
 
     fit: Fit
@@ -56,7 +56,7 @@ class Study:
 
     @property
     def to_weigh(self) -> Study:
-        """What alternatives are weighed on: there a row that stands out may yet be shown to have a cause."""
+        """What alternatives are weighed on: there a row that stands out may yet be shown to have a cause, but for accidents."""
         return self.as_stated or self
 
     @property
@@ -115,10 +115,13 @@ def prepare(session: Session, terms: Sequence[Term]) -> Study:
     from .apart import set_apart
     from .level import with_inferred_level
 
-    found, bad = with_inferred_level(thinned(observe_with_force_noise(session, terms)), terms)
+    found, bad, sure = with_inferred_level(thinned(observe_with_force_noise(session, terms)), terms)
     if not bad:
         return found
-    return replace(study_of(set_apart(found.observation, bad), found.terms), apart=bad, as_stated=found)
+    weighed = replace(study_of(set_apart(found.observation, sure), found.terms), apart=sure) if sure else found
+    if len(sure) == len(bad):
+        return weighed
+    return replace(study_of(set_apart(found.observation, bad), found.terms), apart=bad, as_stated=weighed)
 
 
 def completed_study(study: Study) -> Study:

@@ -167,7 +167,7 @@ def _stands_in(shown: Shown) -> list[str]:
 def _bad_rows(assessment: Assessment) -> list[str]:
     """Rows that stand out from all others; they count for nothing in the assessment."""
     left_out = [b.sentence for b in assessment.asked.observation.bad if b.is_left_out]
-    beside = [p.structure.words for p in assessment.remainder.bad_rows]
+    beside = [p.structure.words for p in assessment.stand_out]
     out = []
     for begin, bad in (("Left out as plainly wrong", left_out), ("Readings that stand out and count for nothing here", beside)):
         if bad:
@@ -217,7 +217,7 @@ def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidat
 def _falls(assessment: Assessment, shown: Shown) -> str:
     """From what to what the error falls with all that was added, without readings that stand out where there are any."""
     asked, after = shown.asked, shown.after
-    aside = [r for p in assessment.remainder.bad_rows for r in p.structure.rows]
+    aside = [r for p in assessment.stand_out for r in p.structure.rows]
     good = np.setdiff1d(np.intersect1d(asked.study.observation.rows, after.study.observation.rows), aside)
     figures = [f"{length(m.held_out.rms_m)}" for m in (asked, after)]
     usual = [f"{length(m.held_out.rms_of(np.isin(m.study.observation.rows, good)))}" for m in (asked, after)]

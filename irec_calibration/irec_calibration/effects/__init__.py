@@ -10,7 +10,7 @@ from __future__ import annotations
 from .base import Effect, Parameter, absent
 from .catalogue import CATALOGUE
 from .registry import broken_effects, find_effect, known_effects, register
-from .traits import Ageing, Axes, Cause, Evidence, Family
+from .traits import Ageing, Axes, Cause, Evidence, Family, is_predicted
 
 __all__ = [
     "CATALOGUE",
@@ -24,6 +24,7 @@ __all__ = [
     "absent",
     "broken_effects",
     "find_effect",
+    "is_predicted",
     "known_effects",
     "register",
 ]

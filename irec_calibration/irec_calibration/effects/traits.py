@@ -12,8 +12,7 @@ class Cause(StrEnum):
 
     Attributes:
         LOAD: the process force moves the tool, or it is what the force sensor makes of it: part of both.
-        STATE: joint angles alone. Predictions have its change since the reference; the live correction, which knows no other
-            place than where the robot is, has no part of it.
+        STATE: joint angles alone, whatever the force: only predictions of `absolute` sessions have it.
         MOTION: how the joints came to where they are, whatever the force: only predictions of `absolute` sessions have it.
         TIME: passes with time whatever the force; no part of either.
         MEASUREMENT: only the tracker sees it; no part of either.
@@ -24,6 +23,11 @@ class Cause(StrEnum):
     MOTION = "motion"
     TIME = "time"
     MEASUREMENT = "measurement"
+
+
+def is_predicted(cause: Cause, kind: str) -> bool:
+    """Whether predictions of sessions of a kind have effects of a cause (`predictions.csv` of contracts/results.md)."""
+    return cause is Cause.LOAD or (kind == "absolute" and cause in (Cause.STATE, Cause.MOTION))
 
 
 class Evidence(StrEnum):

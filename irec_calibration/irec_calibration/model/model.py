@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..effects import Axes, Cause, Effect, Parameter, find_effect
+from ..effects import Axes, Effect, Parameter, find_effect, is_predicted
 from ..effects.scene import Scene
 from ..effects.state import ElasticResponse
 from ..errors import ModelError
@@ -150,17 +150,17 @@ class Model:
         return tuple(t.effect.id for t in self.terms)
 
     def predict(self, scene: Scene) -> Array:
-        """Deflection of the TCP in each row, (n, 3), m, in base_link: of a `loaded` session since the row's reference.
+        """Deflection of the TCP in each row, (n, 3), m, in base_link.
 
-        Where the physical TCP will be relative to the controller's, evaluated at the force that really acts (sensor effects).
-        What only instruments see, what passes with time, and in `loaded` sessions what is left of a motion is no part of it. The
-        live correction computes the same where the joints stand as at the reference.
+        In `loaded` sessions what the process force causes since the row's reference, evaluated at the force that really acts
+        (sensor effects): what a geometry error makes of the commanded displacement, what is left of a motion, what passes with
+        time and what only instruments see is no part of it, as in the live correction. In `absolute` sessions where the
+        physical TCP is relative to the controller's, without what passes with time and what only instruments see.
 
         Args:
             scene: rows that observe the TCP (`scene_of(session, observe="tcp")`).
         """
-        causes = (Cause.LOAD, Cause.STATE) if scene.kind == "loaded" else (Cause.LOAD, Cause.STATE, Cause.MOTION)
-        moving = [t for t in self.terms if t.effect.cause in causes]
+        moving = [t for t in self.terms if is_predicted(t.effect.cause, scene.kind)]
         return scene.change(total_displacement(moving, scene))
 
 
