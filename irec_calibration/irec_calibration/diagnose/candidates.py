@@ -15,7 +15,7 @@ from ..effects import Effect, Parameter, known_effects
 from ..effects.scene import Scene
 from ..errors import EffectError, SolveError
 from ..typing import Array, BoolArray
-from .evidence import Block, Ground, Posterior
+from .evidence import Block, Ground, Posterior, Reduced
 from .priors import FACTORS
 from .study import Study
 
@@ -166,37 +166,35 @@ def _beside_springs(study: Study, A: Array, parameters: Sequence[Parameter]) -> 
     return out
 
 
+_Set = tuple[int, tuple[str, ...]]  # place of a table, groups of it
+
+
 def try_option(ground: Ground, option: Option, scene: Scene) -> Trial:
     """Try an effect in all its variants on a ground."""
     effect, alone = option.effect, ground.log_evidence
     log_odds = effect.log_odds(scene)
-    tried: list[tuple[Variant, Posterior]] = []
+    reduced = []
     for table in option.tables:
         V, u = ground.reduce(table.block.A)
-        S = table.gram - V.T @ V
-        names = table.groups
+        reduced.append(Reduced(table.gram - V.T @ V, u, V, table.block))
 
-        def variant(
-            chosen: tuple[str, ...], table: Table = table, V: Array = V, u: Array = u, S: Array = S
-        ) -> tuple[Variant, Posterior]:
-            columns = table.columns(chosen)
-            names = table.groups
+    def variants(sets: Sequence[_Set]) -> list[tuple[Variant, Posterior]]:
+        columns = [option.tables[i].columns(chosen) for i, chosen in sets]
+        found = ground.posteriors([reduced[i].take(c) for (i, _), c in zip(sets, columns, strict=True)], FACTORS)
+        out = []
+        for (i, chosen), c, posterior in zip(sets, columns, found, strict=True):
+            table, names = option.tables[i], option.tables[i].groups
             prior = log_odds - log(len(names)) - log(comb(len(names), len(chosen))) - log(len(option.tables))
-            block = table.block.take(columns)
-            at = np.ix_(columns, columns)
-            found = ground.posterior_reduced(S[at], u[columns], V[:, columns], block, FACTORS)
             v = Variant(
-                effect, chosen, table.shape, tuple(table.parameters[i].name for i in columns),
-                np.array([table.parameters[i].scale for i in columns]), block.widened(found.factor), prior,
+                effect, chosen, table.shape, tuple(table.parameters[j].name for j in c),
+                np.array([table.parameters[j].scale for j in c]), reduced[i].block.take(c).widened(posterior.factor), prior,
             )  # fmt: skip
-            return v, found
+            out.append((v, posterior))
+        return out
 
-        singles = [variant((n,)) for n in names]
-        tried += singles
-        if len(names) > 2:
-            tried += _forward(variant, names, singles)
-        if len(names) > 1:
-            tried.append(variant(names))
+    names = [t.groups for t in option.tables]
+    tried = variants([(i, (n,)) for i, of in enumerate(names) for n in of])
+    tried += _forward(variants, names, tried) + variants([(i, of) for i, of in enumerate(names) if len(of) > 1])
     gained = [supported(p.log_evidence - alone, ground.bench.saved(ground.chi2, p.chi2)) for _, p in tried]
     score = np.array([alone + g + v.log_prior for g, (v, _) in zip(gained, tried, strict=True)])
     best = int(np.argmax(score))
@@ -220,18 +218,32 @@ def supported(log_evidence: float, saved: float) -> float:
 
 
 def _forward(
-    variant: Callable[[tuple[str, ...]], tuple[Variant, Posterior]],
-    names: Sequence[str],
-    singles: list[tuple[Variant, Posterior]],
+    variants: Callable[[Sequence[_Set]], list[tuple[Variant, Posterior]]],
+    names: Sequence[tuple[str, ...]],
+    singles: Sequence[tuple[Variant, Posterior]],
 ) -> list[tuple[Variant, Posterior]]:
-    """Sets of groups built up one by one, as long as the evidence rises."""
+    """Sets of groups of each table built up one by one, as long as the evidence rises."""
     out: list[tuple[Variant, Posterior]] = []
-    chosen, best = max(((v.groups, p.log_evidence + v.log_prior) for v, p in singles), key=lambda t: t[1])
-    for _ in range(min(FORWARD_STEPS, len(names) - 2)):
-        more = [variant(tuple(n for n in names if n in chosen or n == extra)) for extra in names if extra not in chosen]
+    ranked = iter([(p.log_evidence + v.log_prior, v.groups) for v, p in singles])
+    best = {i: max((next(ranked) for _ in of), key=lambda t: t[0]) for i, of in enumerate(names)}
+    going = [i for i, of in enumerate(names) if len(of) > 2]
+    for step in range(FORWARD_STEPS):
+        sets: list[_Set] = [
+            (i, tuple(n for n in names[i] if n in best[i][1] or n == extra))
+            for i in going
+            if step < len(names[i]) - 2
+            for extra in names[i]
+            if extra not in best[i][1]
+        ]
+        more = variants(sets)
         out += more
-        top, value = max(((v.groups, p.log_evidence + v.log_prior) for v, p in more), key=lambda t: t[1])
-        if value <= best:
+        going = []
+        for i in dict.fromkeys(i for i, _ in sets):
+            mine = [(p.log_evidence + v.log_prior, v.groups) for (j, _), (v, p) in zip(sets, more, strict=True) if j == i]
+            top = max(mine, key=lambda t: t[0])
+            if top[0] > best[i][0]:
+                best[i] = top
+                going.append(i)
+        if not going:
             break
-        chosen, best = top, value
     return out

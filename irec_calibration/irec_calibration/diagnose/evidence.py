@@ -10,6 +10,7 @@ Student-t in place of the normal).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +20,7 @@ from scipy.special import erfcx, log_ndtr
 
 from ..identification.bounded import solve_bounded_gram
 from ..identification.validation import RIDGE, floored, predicted_from_others
-from ..typing import Array, IntArray
+from ..typing import Array, BoolArray, IntArray
 
 Products = tuple[Array, Array]  # A'A and A'b of a block
 
@@ -131,8 +132,8 @@ class Bench:
         chi2 = np.maximum(self.bb - 2.0 * x @ h + np.einsum("ki,ki->k", x, Gx), 0.0)
         loss = chi2 + (precision * x**2).sum(axis=1)
         fit = self.log_fit(loss)
-        flexibility = np.array([_log_volume(H[k], h, x[k], precision[k], block) for k in range(len(x))])
-        return x, chi2, fit + flexibility
+        one = np.ones((len(x), 1))
+        return x, chi2, fit + _log_volume(H, one * h, x, precision, one * block.lower, one * block.upper)
 
     def log_fit(self, loss: Array) -> Array:
         """Log probability of the equations with a loss (squared residual and penalty), integrated over the noise level."""
@@ -229,48 +230,97 @@ class Ground:
         x holds the further block's columns only; log_evidence is that of ground and block together.
         """
         V, u = self.reduce(block.A)
-        return self.posterior_reduced(block.A.T @ block.A - V.T @ V, u, V, block, factors)
+        return self.posteriors([Reduced(block.A.T @ block.A - V.T @ V, u, V, block)], factors)[0]
 
-    def posterior_reduced(self, S: Array, u: Array, V: Array, block: Block, factors: Array) -> Posterior:
-        """As `posterior`, for a block whose reduced columns are known already (see `reduce`)."""
-        precision = floored((block.width * factors[:, None]) ** -2.0, S, self.bench.rounding)
-        H = S + precision[:, :, None] * np.eye(len(u))
-        if np.isinf(block.lower).all() and np.isinf(block.upper).all():
-            x = np.linalg.solve(H, np.broadcast_to(u, (len(H), len(u)))[:, :, None])[:, :, 0]
-            volume = 0.5 * (np.log(precision).sum(axis=1) - np.linalg.slogdet(H)[1])
+    def posteriors(self, further: Sequence[Reduced], factors: Array) -> list[Posterior]:
+        """As `posterior` of each of many further blocks, whose reduced columns are known already; those of one size at once."""
+        out: dict[int, Posterior] = {}
+        alike: dict[tuple[int, bool], list[int]] = {}
+        for i, one in enumerate(further):
+            bounded = bool(np.isfinite(one.block.lower).any() or np.isfinite(one.block.upper).any())
+            alike.setdefault((len(one.u), bounded), []).append(i)
+        for (_, bounded), places in alike.items():
+            out |= dict(zip(places, self._posteriors([further[i] for i in places], bounded, factors), strict=True))
+        return [out[i] for i in range(len(further))]
+
+    def _posteriors(self, further: Sequence[Reduced], bounded: bool, factors: Array) -> list[Posterior]:
+        """Of m blocks of p columns each, under k factors."""
+        S, u = np.array([f.S for f in further]), np.array([f.u for f in further])
+        precision = np.array([floored((f.block.width * factors[:, None]) ** -2.0, f.S, self.bench.rounding) for f in further])
+        m, k, p = precision.shape
+        flat = precision.reshape(-1, p)
+        H = np.repeat(S, k, axis=0) + flat[:, :, None] * np.eye(p)
+        h = np.repeat(u, k, axis=0)
+        if bounded:
+            lower, upper = (np.repeat(bounds, k, axis=0) for bounds in zip(*((f.block.lower, f.block.upper) for f in further)))
+            x = solve_bounded_gram(H, h, lower, upper)
+            volume = _log_volume(H, h, x, flat, lower, upper)
         else:
-            x = solve_bounded_gram(H, u, block.lower, block.upper)
-            volume = np.array([_log_volume(H[k], u, x[k], precision[k], block) for k in range(len(x))])
-        loss = self.loss - 2.0 * x @ u + np.einsum("ki,kij,kj->k", x, H, x)
-        gained = self.fit_gain(loss) + volume
-        best = int(np.argmax(gained))
-        beside = solve_triangular(self._L, self._c - V @ x[best], lower=True, trans="T")
-        chi2 = loss[best] - precision[best] @ x[best] ** 2 - self._held - self._precision @ beside**2
-        total = self.log_evidence + float(_log_mean_exp(gained))
-        return Posterior(x[best], max(float(chi2), 0.0), total, float(factors[best]))
+            x = np.linalg.solve(H, h[:, :, None])[:, :, 0]
+            volume = 0.5 * (np.log(flat).sum(axis=1) - np.linalg.slogdet(H)[1])
+        loss = self.loss - 2.0 * (x * h).sum(axis=1) + np.einsum("ki,kij,kj->k", x, H, x)
+        gained = (self.fit_gain(loss) + volume).reshape(m, k)
+        best = gained.argmax(axis=1)
+        at = np.arange(m) * k + best
+        moved = np.stack([self._c - f.V @ x[i] for f, i in zip(further, at, strict=True)], axis=1)
+        beside = solve_triangular(self._L, moved, lower=True, trans="T")
+        chi2 = loss[at] - (flat[at] * x[at] ** 2).sum(axis=1) - self._held - self._precision @ beside**2
+        return [
+            Posterior(x[i], max(float(c), 0.0), self.log_evidence + float(_log_mean_exp(g)), float(factors[j]))
+            for i, j, c, g in zip(at, best, chi2, gained, strict=True)
+        ]
 
 
-def _log_volume(H: Array, h: Array, x: Array, precision: Array, block: Block) -> float:
-    """Log of the prior-weighted posterior volume about the mode: Laplace for free columns, exact half-lines at a bound."""
-    held = (x <= block.lower) | (x >= block.upper)
+@dataclass(frozen=True)
+class Reduced:
+    """A further block beside a ground: S = X'X - V'V, u and V as of `Ground.reduce`, of its columns X."""
+
+    S: Array
+    u: Array
+    V: Array
+    block: Block
+
+    def take(self, columns: list[int]) -> Reduced:
+        """Some columns only."""
+        return Reduced(self.S[np.ix_(columns, columns)], self.u[columns], self.V[:, columns], self.block.take(columns))
+
+
+def _log_volume(H: Array, h: Array, x: Array, precision: Array, lower: Array, upper: Array) -> Array:
+    """Log of the prior-weighted posterior volumes about the modes of k problems, (k,): Laplace for free columns, exact half-lines
+    at a bound."""
+    held = (x <= lower) | (x >= upper)
+    out = np.empty(len(x))
+    alike: dict[bytes, list[int]] = {}
+    for i, row in enumerate(held):
+        alike.setdefault(row.tobytes(), []).append(i)
+    for places in alike.values():
+        at = slice(None) if len(places) == len(x) else places
+        out[at] = _log_volume_of_same_held(held[places[0]], H[at], h[at], x[at], precision[at], lower[at], upper[at])
+    return out
+
+
+def _log_volume_of_same_held(
+    held: BoolArray, H: Array, h: Array, x: Array, precision: Array, lower: Array, upper: Array
+) -> Array:
     free = ~held
-    half = np.isfinite(block.lower) & (block.lower >= 0.0) & ~np.isfinite(block.upper)
-    total = 0.0
+    half = np.isfinite(lower) & (lower >= 0.0) & ~np.isfinite(upper)
+    total = np.zeros(len(x))
     if free.any():
-        F = H[np.ix_(free, free)]
-        L = np.linalg.cholesky(F)
-        total += 0.5 * float(np.log(precision[free]).sum()) - float(np.log(L.diagonal()).sum())
+        L = np.linalg.cholesky(H[:, free][:, :, free])
+        total += 0.5 * np.log(precision[:, free]).sum(axis=1) - np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
         inverse = np.linalg.inv(L)
-        sigma = np.sqrt((inverse**2).sum(axis=0))
-        positive = half[free]
-        total += float((np.log(2.0) + log_ndtr(x[free][positive] / sigma[positive])).sum())
+        sigma = np.sqrt((inverse**2).sum(axis=1))
+        positive = half[:, free]
+        if positive.any():
+            total += np.where(positive, np.log(2.0) + log_ndtr(x[:, free] / sigma), 0.0).sum(axis=1)
     if held.any():
-        gradient = np.abs(H[held] @ x - h[held])
-        stiffness = H.diagonal()[held].copy()
+        gradient = np.abs(np.einsum("kij,kj->ki", H[:, held], x) - h[:, held])
+        stiffness = np.diagonal(H, axis1=1, axis2=2)[:, held].copy()
         if free.any():
-            stiffness -= ((inverse @ H[np.ix_(free, held)]) ** 2).sum(axis=0)
-        stiffness = np.maximum(stiffness, precision[held])
-        total += float((0.5 * np.log(precision[held] / stiffness) + np.log(erfcx(gradient / np.sqrt(2.0 * stiffness)))).sum())
+            stiffness -= ((inverse @ H[:, free][:, :, held]) ** 2).sum(axis=1)
+        stiffness = np.maximum(stiffness, precision[:, held])
+        logs = 0.5 * np.log(precision[:, held] / stiffness) + np.log(erfcx(gradient / np.sqrt(2.0 * stiffness)))
+        total += logs.sum(axis=1)
     return total
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ..effects import Effect
 from ..model import Estimate, Term
 from .candidates import SMALLEST_COLUMN, block_columns, supported
-from .evidence import Block, Ground, Posterior
+from .evidence import Block, Ground, Posterior, Reduced
 from .priors import FACTORS
 from .settings import SETTINGS
 from .study import Study
@@ -49,6 +49,10 @@ class PartSets:
         self.ground = Ground(rest.bench, rest.base if beside is None else rest.base + beside)
         self.alone = Posterior(np.zeros(0), self.ground.chi2, self.ground.log_evidence)
         self.tables = [(s, *block_columns(rest, effect, s)) for s in _shapes(rest, effect, fitted)]
+        self._reduced = []
+        for _, block, _ in self.tables:
+            V, u = self.ground.reduce(block.A)
+            self._reduced.append(Reduced(block.A.T @ block.A - V.T @ V, u, V, block))
         shown = [
             p.group
             for _, block, parameters in self.tables
@@ -72,11 +76,10 @@ class PartSets:
         if names not in self._known:
             best: tuple[float, Posterior, int] = (self.alone.log_evidence, self.alone, 0)
             tried = False
-            for i, (_, block, _) in enumerate(self.tables):
-                chosen = self.columns(names, i)
-                if not names or not chosen:
-                    continue
-                found = self.ground.posterior(block.take(chosen), FACTORS)
+            columns = {i: self.columns(names, i) for i in range(len(self.tables)) if names}
+            columns = {i: chosen for i, chosen in columns.items() if chosen}
+            posteriors = self.ground.posteriors([self._reduced[i].take(c) for i, c in columns.items()], FACTORS)
+            for i, found in zip(columns, posteriors, strict=True):
                 saved = self.rest.bench.saved(self.alone.chi2, found.chi2)
                 gained = supported(found.log_evidence - self.alone.log_evidence, saved)
                 score = self.alone.log_evidence + gained - log(comb(len(self.names), len(names)))

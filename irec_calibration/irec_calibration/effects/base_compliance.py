@@ -32,6 +32,12 @@ def base_spring_regressor(scene: Scene) -> Array:
     return out
 
 
+def base_spring_displacement(scene: Scene, compliance: Array) -> Array:
+    """Displacement of the observed point by base springs of compliances (n, 6) as in `base_spring_regressor`, (n, 3)."""
+    f, moment = scene.load_wrench_at_base()
+    return f * compliance[:, :3] + np.cross(moment * compliance[:, 3:], scene.p_observed)
+
+
 def _rotation(scene: Scene) -> tuple[float, float]:
     """Typical and largest likely compliance against rotation, rad/(N m).
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..typing import Array
 from .base import Effect, Parameter
-from .base_compliance import base_spring_regressor
+from .base_compliance import base_spring_displacement, base_spring_regressor
 from .live import ColumnLaw, LiveForm, Tick
 from .scene import Scene
 from .traits import Family
@@ -58,7 +58,8 @@ class RailCompliance(Effect):
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        return self._columns(scene, *theta[-2:]) @ theta[:-2]
+        constant, soft = theta[:-2].reshape(-1, 2).T
+        return base_spring_displacement(scene, constant + _fading(scene, *theta[-2:])[:, None] * soft)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         *values, place, width = theta
@@ -69,9 +70,8 @@ class RailCompliance(Effect):
 
     def _columns(self, scene: Scene, place: float, width: float) -> Array:
         """Displacement per unit of each compliance, (n, 3, 12)."""
-        soft = np.exp(-(((_position(scene) - place) / width) ** 2))
         spring = base_spring_regressor(scene)
-        return np.stack([spring, spring * soft[:, None, None]], axis=3).reshape(len(scene), 3, -1)
+        return np.stack([spring, spring * _fading(scene, place, width)[:, None, None]], axis=3).reshape(len(scene), 3, -1)
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Carriage(theta[:-2].reshape(-1, 2), *theta[-2:])
@@ -81,6 +81,10 @@ def _position(scene: Scene) -> Array:
     """Of the first external axis, (n,), m; 0 where it was not logged."""
     position = next(iter(scene.ext.values()), np.zeros(len(scene)))
     return np.where(np.isfinite(position), position, 0.0)
+
+
+def _fading(scene: Scene, place: float, width: float) -> Array:
+    return np.asarray(np.exp(-(((_position(scene) - place) / width) ** 2)))
 
 
 class _Carriage(ColumnLaw):

@@ -30,7 +30,7 @@ def missing(
 ) -> str:
     parts = {i: Parts(proven=("axis 1",), perhaps=("axis 3",)) for i in names}
     bad = [SimpleNamespace(structure=SimpleNamespace(rows=aside))] if aside else []
-    found = SimpleNamespace(names=names, parts=parts, remainder=SimpleNamespace(bad_rows=bad))
+    found = SimpleNamespace(names=names, parts=parts, stand_out=bad)
     same = made([1, 2], [5e-5, 5e-5])
     return " ".join(wording._missing(found, SimpleNamespace(asked=asked or same, after=after or same), ()))  # type: ignore[arg-type]
 
