@@ -11,13 +11,15 @@ from __future__ import annotations
 import numpy as np
 
 from ..effects import Evidence, known_effects
-from ..model import Estimate, Term
-from ..typing import Array, BoolArray
+from ..identification.observe import beyond_controller
+from ..model import Estimate, Term, total_displacement
+from ..session.data import Session
+from ..typing import Array, BoolArray, IntArray
 from .directions import TYPICAL_DISPLACEMENT
 from .evidence import Ground
 from .lasting import lasts
 from .remainder import Part, Remainder
-from .settings import Settings
+from .settings import SETTINGS, Settings
 from .study import Study
 
 
@@ -51,19 +53,42 @@ def _may_last(study: Study, here: BoolArray, moved: Array, settings: Settings) -
     Args:
         here: rows of the observation, (m,) bool; moved: by how much, (3,), m.
     """
-    session, rows = study.session, study.observation.rows
-    first = rows[np.flatnonzero(here)]
-    pose = (session.pose == session.pose[first[0]]) & (session.repeat == session.repeat[first[0]])
-    stamp = session.stamp
-    begin = stamp[first].min()
-    if not np.isfinite(stamp[pose]).all():
-        return False  # no effect of time can act on the session
-    if not set(np.flatnonzero(pose & (stamp >= begin))) <= set(first.tolist()):
-        return False  # what came after it in its pose is where it was
+    return _lasts_from(study, study.observation.rows[here], moved) > settings.nats_to_prefer
+
+
+def steps_left_out(study: Study, settings: Settings = SETTINGS) -> tuple[int, ...]:
+    """Session rows that were left out as plainly wrong although the readings of later poses have the step that begins there."""
+    bad = [b for b in study.observation.bad if b.is_left_out and b.kind in ("jump", "moved")]
+    if not bad or study.ready.kind != "loaded":
+        return ()
+    session, scene = study.session, study.observation.scene
+    seen = beyond_controller(session, scene) - total_displacement(study.terms, scene)
+    out: list[int] = []
+    for b in bad:
+        rows = np.array(b.rows)
+        others = np.setdiff1d(_pose_of(session, rows[0]), rows)
+        if len(others):
+            moved = np.median(seen[rows], axis=0) - np.median(seen[others], axis=0)
+            if np.isfinite(moved).all() and _lasts_from(study, rows, moved) > settings.nats_to_name:
+                out += b.rows
+    return tuple(out)
+
+
+def _lasts_from(study: Study, rows: IntArray, moved: Array) -> float:
+    """Log odds that a step that begins at some session rows of one pose lasts; -inf where it can be none."""
+    stamp, pose = study.session.stamp, _pose_of(study.session, rows[0])
     shift = next((e for e in known_effects().values() if e.evidence is Evidence.ONE_POSE), None)
-    before = stamp[pose & (stamp < begin)]
-    if shift is None or not len(before):
-        return False
+    if shift is None or not np.isfinite(stamp[pose]).all():
+        return -np.inf
+    begin = stamp[rows].min()
+    before = stamp[pose][stamp[pose] < begin]
+    if not len(before) or not set(pose[stamp[pose] >= begin]) <= set(rows):
+        return -np.inf  # what came after it in its pose is where it was
     values = {f"d_{a}": Estimate(float(v), unit="m") for a, v in zip("xyz", moved, strict=True)}
     moment = Estimate(float(0.5 * (before.max() + begin)), unit="s")
-    return lasts(study, Term(shift, {**values, "t_shift": moment})) > settings.nats_to_prefer
+    return lasts(study, Term(shift, {**values, "t_shift": moment}))
+
+
+def _pose_of(session: Session, row: int) -> IntArray:
+    """Session rows of the pose and repeat of a row."""
+    return np.flatnonzero((session.pose == session.pose[row]) & (session.repeat == session.repeat[row]))

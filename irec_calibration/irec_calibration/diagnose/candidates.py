@@ -136,6 +136,9 @@ def block_columns(study: Study, effect: Effect, shape: dict[str, float]) -> tupl
     chosen = [parameters[i] for i in free]
     scale = np.array([p.scale for p in chosen])
     A = _beside_springs(study, study.columns(study.regressor(effect, theta)[:, :, free] * scale), chosen)
+    reached = effect.reached(study.ready, theta)
+    if reached is not None:
+        A[:, ~reached[free]] = 0.0
     width = np.array([p.prior_width for p in chosen])
     lower = np.array([p.lower for p in chosen]) / scale
     upper = np.array([p.upper for p in chosen]) / scale

@@ -112,10 +112,15 @@ def prepare(session: Session, terms: Sequence[Term]) -> Study:
     Raises:
         SolveError: the session can't be used with this model.
     """
+    from .accidents import steps_left_out
     from .apart import set_apart
     from .level import with_inferred_level
 
-    found, bad, sure = with_inferred_level(thinned(observe_with_force_noise(session, terms)), terms)
+    observation = thinned(observe_with_force_noise(session, terms))
+    found, bad, sure = with_inferred_level(observation, terms)
+    lasting = steps_left_out(found)
+    if lasting:
+        found, bad, sure = with_inferred_level(thinned(observe_with_force_noise(session, terms, lasting)), terms)
     if not bad:
         return found
     weighed = replace(study_of(set_apart(found.observation, sure), found.terms), apart=sure) if sure else found

@@ -19,7 +19,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ..session.data import Session
-from ..typing import Array, Json
+from ..typing import Array, BoolArray, Json
 from .live import ByDisplacement, LeftOut, LiveForm, Refused
 from .scene import Scene
 from .state import ElasticResponse
@@ -160,6 +160,13 @@ class Effect(ABC):
 
         Args:
             change: of the response by p parameters of a spring, p is the last axis of each field.
+        """
+        return None
+
+    def reached(self, scene: Scene, theta: Array) -> BoolArray | None:
+        """Whether the rows of a session come to where the law of each parameter bends, (p,), at its shape values; None: always.
+
+        A value that is read off the tail of a law far from there would move the tool by far more where it bends.
         """
         return None
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..typing import Array
+from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .live import ColumnLaw, LiveForm, Tick, drives
-from .scales import rated_torque
+from .scales import comes_near_zero, rated_torque
 from .scene import Scene
 from .traits import Ageing, Family
 
@@ -47,6 +47,9 @@ class JointBacklash(Effect):
     def _columns(self, scene: Scene, share: float) -> Array:
         side = 0.5 * np.tanh((scene.tau + scene.tau_gravity) / (share * rated_torque(scene.robot)))
         return (scene.J * side[:, None, :])[:, :, scene.driven]
+
+    def reached(self, scene: Scene, theta: Array) -> BoolArray:
+        return np.append(comes_near_zero(scene, theta[-1] * rated_torque(scene.robot))[scene.driven], True)
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         return tuple(

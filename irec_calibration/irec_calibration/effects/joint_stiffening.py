@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..typing import Array
+from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .joint_backlash import WIDEST
 from .live import ColumnLaw, LiveForm, Springs, Tick, drives
-from .scales import rated_torque, typical_compliance
+from .scales import comes_near_zero, rated_torque, typical_compliance
 from .scene import Scene
 from .traits import Family
 
@@ -71,6 +71,9 @@ class JointStiffening(Effect):
 
         bent = g(scene.tau + scene.tau_gravity) - g(scene.preload())
         return (scene.J * bent[:, None, :])[:, :, scene.driven]
+
+    def reached(self, scene: Scene, theta: Array) -> BoolArray:
+        return np.append(comes_near_zero(scene, theta[-2] * rated_torque(scene.robot))[scene.driven], (True, True))
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Stiffening(scene, theta)

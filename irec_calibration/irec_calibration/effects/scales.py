@@ -19,6 +19,7 @@ STIFFER_THAN = 100.0  # times the typical compliance: more is no gear
 TWIST_UNDER_OWN_WEIGHT = 0.02  # rad; light arms on soft drives or soft servos sag that much, none more
 LAG = 3e-3  # rad; friction of a sound gear and servo
 LAG_OVER_REPEATABILITY = 5.0  # what the side from which a joint came moves the tool by, over one standard deviation of the rest
+NEAR, ROWS_NEAR = 1.5, 3  # times the range over which a law of torque bends: tanh is at 0.9 there; rows that come so near
 WITHOUT_MASSES = 1000.0  # N m, where the robot description gives neither efforts nor masses: nothing is known
 
 
@@ -87,3 +88,16 @@ def largest_lag(scene: Scene) -> Array:
 def typical_reach(scene: Scene) -> float:
     """Distance of the TCP from base_link, m."""
     return float(max(np.linalg.norm(scene.p_tcp, axis=1).max(), 0.1))
+
+
+def comes_near_zero(scene: Scene, soft: Array) -> BoolArray:
+    """Joints whose total torque comes near zero in the rows of a session, or is on both sides of it, (k,).
+
+    Args:
+        soft: range of torque about zero over which a law bends, (k,), N m.
+    """
+    torque = scene.tau + scene.tau_gravity
+    some = min(ROWS_NEAR, len(torque))
+    near = (np.abs(torque) <= NEAR * soft).sum(axis=0) >= some
+    both = np.minimum((torque > 0.0).sum(axis=0), (torque < 0.0).sum(axis=0)) >= some
+    return np.asarray(near | both)

@@ -124,14 +124,14 @@ def _with_errors(terms: tuple[Term, ...], system: System, se: Array, single: Boo
     return tuple(out)
 
 
-def observe_with_force_noise(session: Session, terms: Sequence[Term]) -> Observation:
+def observe_with_force_noise(session: Session, terms: Sequence[Term], lasting: Sequence[int] = ()) -> Observation:
     """The observation of a session without rows that are plainly wrong (`outliers`), with the force sensor's noise carried
     through a first fit of the terms' springs: what every fit, comparison and verdict rests on.
 
-    What was found stands in the observation's `bad` and in the notes of its session.
+    What was found stands in the observation's `bad` and in the notes of its session; lasting: see `outliers.treated`.
     """
     session = _with_notes(with_better_joints(session))
-    first = treated(observe(session), terms)
+    first = treated(observe(session), terms, lasting)
     if session.kind == "absolute":
         found, _ = fitted(terms, first)
         residual = first.y - first.of(total_displacement(found, first.scene))

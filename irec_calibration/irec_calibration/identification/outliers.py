@@ -29,6 +29,7 @@ from .observe import Observation
 from .settings import OUTLIERS
 
 KEPT = "kept: a missing effect could do this too"
+LASTING = "kept: the readings of later poses have it too, so the station may have moved"
 
 
 def find(observation: Observation, terms: Sequence[Term]) -> tuple[BadRow, ...]:
@@ -41,10 +42,13 @@ def find(observation: Observation, terms: Sequence[Term]) -> tuple[BadRow, ...]:
     return _find(observation, terms)[0]
 
 
-def treated(observation: Observation, terms: Sequence[Term]) -> Observation:
+def treated(observation: Observation, terms: Sequence[Term], lasting: Sequence[int] = ()) -> Observation:
     """The observation without its wrong rows; `bad` and the session's notes say which.
 
     In an absolute session rows in the tails are down-weighted. In a loaded one all others count in full.
+
+    Args:
+        lasting: session rows that are kept although they stand out, since a step that begins there lasts.
     """
     bad, weight = _find(observation, terms)
     if observation.session.kind == "loaded":
@@ -53,6 +57,7 @@ def treated(observation: Observation, terms: Sequence[Term]) -> Observation:
             for b in bad
         )
         weight = np.ones(len(weight))
+    bad = tuple(replace(b, action=LASTING) if set(b.rows) & set(lasting) else b for b in bad)
     out = np.isin(observation.rows, [r for b in bad if b.is_left_out for r in b.rows])
     tail = (weight < OUTLIERS.down_weighted) & ~out
     if tail.mean() > OUTLIERS.tails_at_most:

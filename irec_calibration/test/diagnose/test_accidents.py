@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A reading that is an accident for certain has noise of its own before causes are weighed; a step that may be a cause has not."""
+"""A reading that is an accident for certain has noise of its own before causes are weighed; a step that lasts has not."""
 
 from __future__ import annotations
 
