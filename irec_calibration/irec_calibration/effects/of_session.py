@@ -48,7 +48,10 @@ def scene_of(session: Session, *, observe: str = "marker") -> Scene:
             load_since=np.where(has_previous, session.stamp[previous], session.stamp),
             reference=session.reference_row(), previous=previous, clock=session.clock,
         ),
-        view=View(arm, p_observed, on_tool if observe == "marker" else np.ones(n, dtype=bool)),
+        view=View(
+            arm, p_observed, on_tool if observe == "marker" else np.ones(n, dtype=bool),
+            sags=observe == "marker" and session.kind == "loaded",
+        ),
         load=Load(arm, session.force_in_tool, session.torque_in_tool),
         gravity=Gravity(
             arm, in_base, arm.followed(session.robot.gravity_torque(session.q, in_base, session.payload, branches)),
