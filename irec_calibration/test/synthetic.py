@@ -85,13 +85,19 @@ def session(
     )  # fmt: skip
     scene = scene_of(blank)
     # written out on purpose, without the effects under test
-    u = np.zeros((rows, 3))
+    u, sag = np.zeros((rows, 3)), np.zeros((rows, 3))
     for k in range(6):
         lever = scene.p_observed - kin.origin[:, k]
         arm = kin.p_tcp - kin.origin[:, k]
-        for axis, c in [(kin.axis[:, k], compliance[k])] + [(kin.virtual_axis[:, k, v], transverse[2 * k + v]) for v in (0, 1)]:
+        springs = [(kin.axis[:, k], compliance[k], scene.tau_gravity[:, k])]
+        springs += [
+            (kin.virtual_axis[:, k, v], transverse[2 * k + v], scene.gravity.tau_virtual[:, 2 * k + v]) for v in (0, 1)
+        ]
+        for axis, c, by_weight in springs:
             torque = np.einsum("ni,ni->n", axis, np.cross(arm, scene.force))
             u += c * torque[:, None] * np.cross(axis, lever)
+            sag += c * by_weight[:, None] * np.cross(axis, lever)
+    u += sag - sag[6 * (np.arange(rows) // 6)]
     if extra is not None:
         u = u + extra(scene)
     in_base = scene.p_observed + u - np.array(station.xyz)

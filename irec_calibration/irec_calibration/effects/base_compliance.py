@@ -22,27 +22,20 @@ LOOK = "check the bolts of the base, the pedestal and the floor"
 
 def base_spring_regressor(scene: Scene) -> Array:
     """Displacement per unit of each spring compliance, (n, 3, 6): x, y, z [m/N], then rotations [rad/(N m)]."""
-
-    def columns(wrench: Array) -> Array:
-        out = np.zeros((len(scene), 3, 6))
-        for a in range(3):
-            out[:, a, a] = wrench[:, a]
-            turn = np.zeros((len(scene), 3))
-            turn[:, a] = wrench[:, 3 + a]
-            out[:, :, 3 + a] = np.cross(turn, scene.p_observed)
-        return out
-
-    return scene.by_springs(columns, scene.wrench_at_base(), lambda: np.hstack(scene.gravity.wrench_at_base))
+    f, moment = scene.load_wrench_at_base()
+    out = np.zeros((len(scene), 3, 6))
+    for a in range(3):
+        out[:, a, a] = f[:, a]
+        turn = np.zeros((len(scene), 3))
+        turn[:, a] = moment[:, a]
+        out[:, :, 3 + a] = np.cross(turn, scene.p_observed)
+    return out
 
 
 def base_spring_displacement(scene: Scene, compliance: Array) -> Array:
     """Displacement of the observed point by base springs of compliances (n, 6) as in `base_spring_regressor`, (n, 3)."""
-
-    def displacement(wrench: Array) -> Array:
-        u = wrench * compliance
-        return np.asarray(u[:, :3] + np.cross(u[:, 3:], scene.p_observed))
-
-    return scene.by_springs(displacement, scene.wrench_at_base(), lambda: np.hstack(scene.gravity.wrench_at_base))
+    f, moment = scene.load_wrench_at_base()
+    return f * compliance[:, :3] + np.cross(moment * compliance[:, 3:], scene.p_observed)
 
 
 def _rotation(scene: Scene) -> tuple[float, float]:

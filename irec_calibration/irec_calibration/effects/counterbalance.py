@@ -39,12 +39,9 @@ class Counterbalance(Effect):
         )
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        def columns(tau: Array) -> Array:
-            axis_2 = scene.J[:, :, AXIS] * tau[:, None, AXIS]
-            angle = scene.q[:, None, AXIS]
-            return np.stack([axis_2 * np.sin(angle), axis_2 * np.cos(angle)], axis=2)
-
-        return scene.by_springs(columns, scene.tau, lambda: scene.tau_gravity)
+        axis_2 = scene.J[:, :, AXIS] * scene.load_torque()[:, None, AXIS]
+        angle = scene.q[:, None, AXIS]
+        return np.stack([axis_2 * np.sin(angle), axis_2 * np.cos(angle)], axis=2)
 
     def against_springs(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
         own = compliance.get(f"c_{AXIS + 1}")

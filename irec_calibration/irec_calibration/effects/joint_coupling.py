@@ -39,14 +39,9 @@ class JointCoupling(Effect):
         return tuple(out)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        pairs = [pair for k, j in self.pairs(scene) for pair in ((k, j), (j, k))]
-        if not pairs:
-            return np.zeros((len(scene), 3, 0))
-
-        def columns(tau: Array) -> Array:
-            return np.stack([scene.J[:, :, a] * tau[:, None, b] for a, b in pairs], axis=2)
-
-        return scene.by_springs(columns, scene.tau, lambda: scene.tau_gravity)
+        tau = scene.load_torque()
+        columns = [scene.J[:, :, a] * tau[:, None, b] for k, j in self.pairs(scene) for a, b in ((k, j), (j, k))]
+        return np.stack(columns, axis=2) if columns else np.zeros((len(scene), 3, 0))
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         pairs = [pair for k, j in self.pairs(scene) for pair in ((k, j), (j, k))]

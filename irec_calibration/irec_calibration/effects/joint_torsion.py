@@ -48,10 +48,7 @@ class JointTorsion(Effect):
         )
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        def columns(tau: Array) -> Array:
-            return deflection_per_compliance(scene.J, tau)[:, :, scene.driven]
-
-        return scene.by_springs(columns, scene.tau, lambda: scene.tau_gravity)
+        return deflection_per_compliance(scene.J, scene.load_torque())[:, :, scene.driven]
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         return tuple(

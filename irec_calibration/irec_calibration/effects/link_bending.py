@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from ..robot.kinetostatics import deflection_per_compliance
@@ -52,8 +50,7 @@ class LinkBending(Effect):
         return -3.0 if scene.kind == "absolute" else 0.0
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        by_torque = partial(deflection_per_compliance, scene.V)
-        return scene.by_springs(by_torque, scene.tau_virtual, lambda: scene.gravity.tau_virtual)
+        return deflection_per_compliance(scene.V, scene.load_torque_virtual())
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         columns = [f"joint_{k + 1}{v}" for k in range(scene.n_joints) for v in "ab"]

@@ -226,40 +226,28 @@ class Scene:
     # -- what a loaded and an absolute session take for the load, and what they observe --
 
     def total(self, process: Array, by_gravity: Callable[[], Array]) -> Array:
-        """What loads an axis: the process alone in a loaded session, where most of gravity cancels; both in an absolute one.
+        """What springs answer to: the process alone in a loaded session, where that of gravity cancels; both in an absolute one.
+
+        The one place where both kinds of session differ for springs.
 
         Args:
             process: any quantity that the process wrench causes. by_gravity: gives the same by gravity.
         """
         return process if self.kind == "loaded" else process + by_gravity()
 
-    def by_springs(self, columns: Callable[[Array], Array], process: Array, by_gravity: Callable[[], Array]) -> Array:
-        """What springs do: under the process, and in an absolute session under gravity too.
-
-        The arm sags otherwise at the reference than a few millimetres further, where it presses: by some micrometres to some ten
-        of them, which geometry would pass for. They belong to what a loaded session measures.
-
-        Args:
-            columns: displacement by a load, linear in it. process: load of the process. by_gravity: gives that of gravity.
-        """
-        if self.kind == "absolute":
-            return columns(process + by_gravity())
-        if not self.view.sags:
-            return columns(process)
-        sag = columns(by_gravity())
-        return columns(process) + sag - sag[self.reference]
-
     def load_torque(self) -> Array:
-        """The torque about the actuated axes, (n, k), N m: see `total`."""
+        """The torque about the actuated axes that springs answer to, (n, k), N m."""
         return self.total(self.tau, lambda: self.tau_gravity)
 
     def load_torque_virtual(self) -> Array:
-        """The torque about the virtual axes, (n, 2k), N m: see `total`."""
+        """The torque about the virtual axes that springs answer to, (n, 2k), N m."""
         return self.total(self.tau_virtual, lambda: self.gravity.tau_virtual)
 
-    def wrench_at_base(self) -> Array:
-        """The process wrench about the origin of base_link: force and moment, (n, 6), N and N m."""
-        return np.hstack([self.force, np.cross(self.p_tcp, self.force) + self.torque])
+    def load_wrench_at_base(self) -> tuple[Array, Array]:
+        """Force and moment about the origin of base_link that a spring there answers to, (n, 3) each, N and N m."""
+        force = self.total(self.force, lambda: self.gravity.wrench_at_base[0])
+        moment = np.cross(self.p_tcp, self.force) + self.torque
+        return force, self.total(moment, lambda: self.gravity.wrench_at_base[1])
 
     def preload(self) -> Array:
         """Torque about the actuated axes whose effect cancels in what is observed, (n, k), N m: gravity's, or none."""
@@ -280,6 +268,21 @@ class Scene:
     def seen_at(self, p_observed: Array) -> Scene:
         """With another observed point, (n, 3), m, on the same link."""
         return replace(self, view=View(self.arm, p_observed, self.moves_with_arm, self.view.sags))
+
+    def by_weight(self) -> Scene:
+        """The same rows under nothing but the arm's own weight, all of it: as an absolute session without process."""
+        kept = self.view.kept.get("by_weight")
+        if not isinstance(kept, Scene) or kept.gravity is not self.gravity or kept.rows.reference is not self.rows.reference:
+            nothing = np.zeros((len(self), 3))
+            kept = replace(
+                self,
+                rows=replace(self.rows, kind="absolute"),
+                view=View(self.arm, self.p_observed, self.moves_with_arm),
+                load=Load(self.arm, nothing, nothing),
+                elastic=None,
+            )
+            self.view.kept["by_weight"] = kept
+        return kept
 
     def at(self, arm: Arm, p_observed: Array, tau_gravity: Array) -> Scene:
         """With the arm elsewhere; the wrench in tool0 stays."""

@@ -17,7 +17,7 @@ from .observe import Observation
 from .system import System, linearise, solve, with_values
 
 MAX_ITERATIONS = 20
-CONVERGED = 1e-6  # of the parameter scale
+CONVERGED = 1e-7  # of the parameter scale
 SETTLED = 1e-9  # relative fall of the loss below which nothing is gained any more
 HALVINGS = 12
 
@@ -74,6 +74,8 @@ def fitted(
 
 
 def _iterates(terms: Sequence[Term], observation: Observation) -> bool:
+    if observation.scene.view.sags and any(t.effect.elastic for t in terms):
+        return True  # the weight bends springs too, which is no part of the derivative
     return any(t.effect.acts_on == "wrench" or t.effect.needs_elastic or _nonlinear(t, observation) for t in terms)
 
 

@@ -191,8 +191,27 @@ def apply_wrench_effects(terms: Sequence[Term], scene: Scene) -> Scene:
 
 def displacement_of(term: Term, scene: Scene) -> Array:
     """Displacement of the observed point by one term, (n, 3), m."""
+    moved = _moved(term, scene)
+    return moved + _sag(term, scene) if term.effect.elastic and scene.view.sags else moved
+
+
+def _moved(term: Term, scene: Scene) -> Array:
     theta = term.theta(term.effect.parameters(scene))
     return displacement_at(term.effect, theta, scene) if is_kept(term.effect, scene) else term.effect.displacement(scene, theta)
+
+
+def _sag(term: Term, scene: Scene) -> Array:
+    """What a spring gives way more under the weight of the arm than at the reference of each row, (n, 3), m.
+
+    A few millimetres further, where it presses, the arm sags by micrometres to some ten of them more, which a geometry error
+    would pass for. It follows from the springs that the process shows; nothing is read off it (`regressors` have no part of it):
+    masses are known but roughly, and balancers are not known at all.
+    """
+    weighs = scene.by_weight()
+    if not term.effect.parameters(weighs):
+        return np.zeros((len(scene), 3))
+    sag = _moved(term, weighs)
+    return sag - sag[scene.reference]
 
 
 def loaded(terms: Sequence[Term], scene: Scene) -> list[Term]:

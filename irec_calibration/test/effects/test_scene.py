@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
-from irec_calibration.effects.state import Arm, Load
+from irec_calibration.effects.state import Arm, Load, View
+from irec_calibration.model import Estimate, Term, total_displacement
 from synthetic import session
 
 
@@ -51,5 +53,16 @@ def test_gravity_is_load_in_an_absolute_session_and_cancels_in_a_loaded_one(scen
     np.testing.assert_array_equal(absolute.load_torque(), scene.tau + scene.tau_gravity)
     np.testing.assert_array_equal(scene.preload(), scene.tau_gravity)
     assert not absolute.preload().any()
-    heavier = np.array([wrench[:, 2].mean() for wrench in (absolute.load_wrench_at_base()[0], scene.load_wrench_at_base()[0])])
-    assert heavier[0] < heavier[1] - 5000.0
+    base = find_effect("base_compliance")
+    theta = np.array([1e-9 if p.name == "t_z" else 0.0 for p in base.parameters(scene)])
+    lower = [base.displacement(s, theta)[:, 2].mean() for s in (absolute, scene)]
+    assert lower[0] < lower[1] - 5e-6
+
+
+def test_what_the_arm_sags_from_the_reference_to_the_contact_is_seen_by_who_measures_and_caused_by_no_process(scene):
+    terms = [Term(find_effect("joint_torsion"), {f"c_{k}": Estimate(1e-6) for k in range(1, 7)})]
+    in_process = replace(scene, view=View(scene.arm, scene.p_observed, scene.moves_with_arm))
+    sagged = total_displacement(terms, scene) - total_displacement(terms, in_process)
+    by_weight = np.einsum("nik,nk->ni", scene.J, 1e-6 * scene.tau_gravity)
+    np.testing.assert_allclose(sagged, scene.change(by_weight), atol=1e-12)
+    assert np.abs(sagged).max() > 1e-6 and np.abs(sagged[scene.load_case == 0]).max() < 1e-15
