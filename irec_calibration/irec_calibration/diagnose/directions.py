@@ -16,6 +16,7 @@ from .study import Study
 
 DEGREE = 3  # of a curve over one variable
 TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment over which a play is taken up
+SEEN_AT, TURNS = ("marker_x", "marker_y", "marker_z"), 4  # columns of a reading; waves per turn of an encoder that are tried
 TYPICAL_DISPLACEMENT = 3e-5  # m; what a coefficient of 1 moves; the amplitude itself is inferred
 
 
@@ -250,6 +251,29 @@ def plain(study: Study) -> Iterator[Direction]:
         for words, part in (("along", along), ("across", moved - along)):
             part = scaled(part[:, :, None], rows)
             yield Direction(f"as if displacement {words} the line of sight were read wrongly", ("load_case",), part)
+
+
+def readings(study: Study) -> Iterator[Direction]:
+    """What a measuring instrument reads wrongly: along its line of sight by the distance, across it by the angles it looks at.
+
+    Loaded sessions measure over millimetres only: there it is a share of the displacement (`plain`).
+    """
+    scene, rows = study.ready, study.observation.rows
+    if scene.kind != "absolute" or scene.measured_from_station is None:
+        return
+    seen = np.nan_to_num(scene.measured_from_station)
+    far = np.maximum(np.linalg.norm(seen, axis=1), 1e-9)
+    sight = seen / far[:, None]
+    by_distance = sight[:, :, None] * curve(far, far[rows])[:, None, :]
+    yield Direction("as if the instrument read distances wrongly", SEEN_AT, scaled(by_distance, rows))
+    around = np.stack([-sight[:, 1], sight[:, 0], np.zeros(len(far))], axis=1)
+    for words, angle, across in (
+        ("horizontal", np.arctan2(sight[:, 1], sight[:, 0]), around),
+        ("vertical", np.arcsin(np.clip(sight[:, 2], -1.0, 1.0)), np.cross(sight, around)),
+    ):
+        turns = np.stack([f(n * angle) for n in range(1, TURNS + 1) for f in (np.sin, np.cos)], axis=1)
+        columns = (far[:, None] * across)[:, :, None] * turns[:, None, :]
+        yield Direction(f"as if the instrument read {words} angles wrongly", SEEN_AT, scaled(columns, rows))
 
 
 def drifts(study: Study) -> Iterator[Direction]:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from ..typing import Array, BoolArray
-from .directions import TYPICAL_DISPLACEMENT, drifts, plain, shaped, tilts, two_variables
+from .directions import TYPICAL_DISPLACEMENT, drifts, plain, readings, shaped, tilts, two_variables
 from .evidence import Block, Ground
 from .memories import memories
 from .study import Study
@@ -133,7 +133,7 @@ def family_of(study: Study) -> Family:
     structures: list[Structure] = []
     columns: list[Array] = []
     at = 0
-    kinds = [list(f(study)) for f in (plain, memories, drifts, two_variables, tilts, shaped)]
+    kinds = [list(f(study)) for f in (plain, memories, readings, drifts, two_variables, tilts, shaped)]
     for kind in kinds:
         if not kind:
             continue

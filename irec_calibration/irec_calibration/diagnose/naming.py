@@ -42,7 +42,7 @@ def refused(start: Explanation, current: Explanation, one: Explanation, family: 
     if odds < needed(one, one.ids[-1], settings):
         if current.remainder.structures and one.named - current.named > settings.nats_to_name:
             words = current.remainder.structures[0].structure.words
-            return f"structure that is no effect explains as much: {words}", odds
+            return f"what no effect of the catalogue has explains as much: {words}", odds
         return "its evidence is too small", odds
     beyond = implausible(one, one.ids[-1])
     if beyond:
