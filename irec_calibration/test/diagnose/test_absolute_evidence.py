@@ -30,6 +30,12 @@ def on_a_soft_pedestal(s: Session, p: Array) -> Array:
     return np.asarray(SOFT(s, p) + effect.regressor(scene_of(s), theta) @ theta)
 
 
+def seen_at_wrong_angles(s: Session, p: Array) -> Array:
+    """An encoder of the tracker that sits beside its axis: 40 urad, three times per turn."""
+    v = p - np.asarray(s.stations[0].xyz)
+    return np.asarray(SOFT(s, p) + 4e-5 * np.sin(3.0 * np.arctan2(v[:, 1], v[:, 0]))[:, None] * np.cross([0.0, 0.0, 1.0], v))
+
+
 def test_what_a_structure_is_said_to_bring_it_brings() -> None:
     made = session(poses=80, noise=NOISE, moved=SOFT)
     study = prepare(made, start_terms(made)).to_weigh
@@ -52,3 +58,9 @@ def test_a_reflector_that_is_seated_anew_stands_out_of_what_the_springs_leave() 
 def test_the_pedestal_of_a_light_robot_may_be_as_soft_as_that_robot_is_light() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=on_a_soft_pedestal)).verdict
     assert set(verdict.effects) == {"base_compliance", "joint_torsion"}, verdict.text
+
+
+def test_what_the_instrument_reads_wrongly_is_told_by_where_it_looks_and_passes_for_no_error_of_joint_angles() -> None:
+    verdict = diagnose(session(poses=80, noise=NOISE, moved=seen_at_wrong_angles)).verdict
+    assert "encoder_harmonics" not in verdict.effects
+    assert verdict.remaining_m > 1e-5 and "marker_x" in verdict.depends_on, verdict.text
