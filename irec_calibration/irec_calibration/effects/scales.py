@@ -19,7 +19,7 @@ STIFFER_THAN = 100.0  # times the typical compliance: more is no gear
 TWIST_UNDER_OWN_WEIGHT = 0.02  # rad; light arms on soft drives or soft servos sag that much, none more
 LAG = 3e-3  # rad; friction of a sound gear and servo
 LAG_OVER_REPEATABILITY = 5.0  # what the side from which a joint came moves the tool by, over one standard deviation of the rest
-NEAR, ROWS_NEAR = 1.5, 3  # times the range over which a law of torque bends: tanh is at 0.9 there; rows that come so near
+NEAR = 1.5  # times the range over which a law of torque bends: tanh is at 0.9 there
 WITHOUT_MASSES = 1000.0  # N m, where the robot description gives neither efforts nor masses: nothing is known
 
 
@@ -97,7 +97,5 @@ def comes_near_zero(scene: Scene, soft: Array) -> BoolArray:
         soft: range of torque about zero over which a law bends, (k,), N m.
     """
     torque = scene.tau + scene.tau_gravity
-    some = min(ROWS_NEAR, len(torque))
-    near = (np.abs(torque) <= NEAR * soft).sum(axis=0) >= some
-    both = np.minimum((torque > 0.0).sum(axis=0), (torque < 0.0).sum(axis=0)) >= some
-    return np.asarray(near | both)
+    near = (np.abs(torque) <= NEAR * soft).any(axis=0)
+    return np.asarray(near | ((torque > 0.0).any(axis=0) & (torque < 0.0).any(axis=0)))
