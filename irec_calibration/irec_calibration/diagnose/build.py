@@ -18,7 +18,7 @@ from .explanation import Explanation, explain, reshaped_again
 from .family import Family
 from .forms import bends, forms_of
 from .level import family_in_view
-from .naming import proven, pruned, refused
+from .naming import proven, pruned, refused, standing
 from .readings import by_readings
 from .remainder import grow
 from .rivals import Check, rivals_of
@@ -86,7 +86,11 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
             if closest is None or one.named > closest.named:
                 closest, reason = one, why
         if taken is None:
-            break
+            both = two_together(start, current, trials if len(steps) == 1 else None, found, family, check, settings)
+            if both is None:
+                break
+            taken, odds_of_both = both
+            evidence |= odds_of_both
         closest, reason = None, ""
         taken = reshaped_again(start, taken, family)
         steps.append(taken)
@@ -106,6 +110,40 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
     return Built(
         start, family, trials, skipped, tuple(singles), tuple(steps), evidence, closest, reason, rivals, tuple(found), beyond
     )
+
+
+def two_together(
+    start: Explanation, current: Explanation, trials: Sequence[Trial] | None, found: Sequence[Option], family: Family,
+    check: Check, settings: Settings,
+) -> tuple[Explanation, dict[str, float]] | None:  # fmt: skip
+    """Two effects that stand together where neither stands alone; None where there are none.
+
+    What two large causes leave has structure that the generic family describes better than either with a remainder. Asked only
+    where much is unexplained; each then has to hold against any structure in its place, with the other present.
+
+    Returns:
+        the model with both, and the evidence of the names in it.
+    """
+    if sum(p.log_evidence for p in current.remainder.structures) < settings.nats_for_two:
+        return None
+    if trials is None:
+        ground = Ground(current.study.bench, current.study.base)
+        open_ = [o for o in found if o.effect.id not in current.ids]
+        trials = sorted((try_option(ground, o, current.study.ready) for o in open_), key=lambda t: -t.log_evidence)
+    best: tuple[Explanation, dict[str, float]] | None = None
+    for trial in trials[: settings.refits]:
+        check()
+        one = explain(start, current, trial, family)
+        if one is None or one.named - current.named < settings.nats_for_two:
+            continue
+        for two in step(start, one, found, family, None, check, settings)[: settings.refits]:
+            if refused(start, one, two, family, settings)[0]:
+                continue
+            both = reshaped_again(start, two, family)
+            kept, evidence = standing(start, both, family, settings)
+            if set(kept.ids) == set(both.ids) and (best is None or both.log_evidence > best[0].log_evidence):
+                best = both, evidence
+    return best
 
 
 def step(

@@ -149,15 +149,15 @@ def proven(
     Args:
         steps: the models on the way, the last has all names.
     """
-    kept, evidence = _standing(start, steps[-1], family, settings)
+    kept, evidence = standing(start, steps[-1], family, settings)
     for before in reversed(steps[:-1]):
         if len(before.ids) > len(kept.ids):
-            more, odds = _standing(start, before, family, settings)
+            more, odds = standing(start, before, family, settings)
             kept, evidence = (more, odds) if len(more.ids) > len(kept.ids) else (kept, evidence)
     return kept, evidence
 
 
-def _standing(start: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[Explanation, dict[str, float]]:
+def standing(start: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[Explanation, dict[str, float]]:
     """A model whose weakest name was taken out until all stand, and the evidence of each."""
     while one.added:
         left = feigned(one)

@@ -96,6 +96,10 @@ class Settings(Thresholds):
         20.0, "nats", "evidence that a name needs which shows in the differences of one pose of a loaded session only",
         "a bad pose is far more common than a bumped station; the absolute readings of later poses count with it",
     )  # fmt: skip
+    nats_for_two: float = threshold(
+        50.0, "nats", "evidence of structure that has no name, and of an effect by itself, to try two together",
+        "far beyond any threshold for names: what is left then is no matter of form",
+    )  # fmt: skip
     nats_to_separate: float = threshold(
         5.0, "nats", "explanations closer than this are not told apart", "odds of 150",
     )  # fmt: skip
