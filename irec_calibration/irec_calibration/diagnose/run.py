@@ -20,6 +20,7 @@ from .bad_readings import one_note_each, rows_json
 from .build import Built, build
 from .candidates import Trial
 from .comparison import compare_observed
+from .explanation import in_one_pose
 from .held_out import held_out, validated
 from .level import noise_left
 from .next_poses import next_measurements
@@ -159,11 +160,14 @@ def without_later_accidents(observation: Observation, built: Built) -> Observati
     Two load cases that were swapped, say, don't stand out of a millimetre that an effect explains later; what is weighed beside
     them rests on a fit that they bend.
     """
-    if observation.session.kind != "loaded" or not built.final.remainder.bad_rows:
+    final = built.final
+    if observation.session.kind != "loaded" or not final.added or not final.remainder.bad_rows:
         return None
-    later = observe_with_force_noise(observation.session, built.final.study.terms)
+    if any(in_one_pose(final, i) for i in final.ids):  # what is plainly wrong beside it may be what it is read off
+        return None
+    later = observe_with_force_noise(observation.session, final.study.terms)
     keep = np.isin(observation.rows, later.rows)
-    if keep.all() or "station_shift" in built.final.ids:
+    if keep.all():
         return None
     return replace(observation.only(keep), bad=later.bad, session=later.session)
 
