@@ -52,6 +52,7 @@ def session(
     joints: tuple[tuple[float, ...], tuple[float, ...]] = JOINTS,
     q_of_poses: np.ndarray | None = None,
     lateral: float = 1.0,
+    weight: bool = True,
 ) -> Session:
     """A loaded session: 18-DOF truth, five load cases a pose, plus what `extra` adds to the marker's displacement.
 
@@ -59,6 +60,7 @@ def session(
         extra: function of the noise-free scene -> displacement of the marker in base_link, (n, 3), m.
         joints: lowest and highest joint angles of the poses, rad.
         q_of_poses: (poses, 6), rad; drawn where None. lateral: multiple of the forces across the tool.
+        weight: whether gravity acts.
     """
     rng = np.random.default_rng(seed)
     noise = noise or Noise(tracker_m=7.5e-6, tracker_m_per_m=1.8e-6, force_n=1.0, settling_m=2e-6)
@@ -77,7 +79,7 @@ def session(
         repeat=np.zeros(rows, dtype=np.int64), stamp=np.arange(rows) * 4.0, q=q, p_tcp_in_base=kin.p_tcp,
         p_marker_in_station=np.zeros((rows, 3)), station=np.zeros(rows, dtype=np.int64), stations=(station,),
         marker=np.zeros(rows, dtype=np.int64), markers=(Marker("marker", "tool0", (0.02, 0.0, -0.03)),), force_in_tool=force,
-        torque_in_tool=np.zeros((rows, 3)), noise=noise, load_cases=LOAD_CASES,
+        torque_in_tool=np.zeros((rows, 3)), noise=noise, load_cases=LOAD_CASES, gravity_in_base=(0.0, 0.0, -9.81 * weight),
         meta={"format": "irec-session/1", "name": "synthetic", "kind": "loaded", "robot": {"urdf": "robot.urdf", "serial": "S-1"},
               "marker_in_tool0": [0.02, 0.0, -0.03],
               "stations": [{"name": "A", "xyz": [4.0, -2.0, 1.0], "quat_xyzw": [0.0, 0.0, 0.5**0.5, 0.5**0.5]}],

@@ -38,5 +38,3 @@ class Diagnostics:
             message = DiagnosticArray(status=list(statuses))
             message.header.stamp = self._node.get_clock().now().to_msg()
             self._publisher.publish(message)
-
-

@@ -358,5 +358,3 @@ class CorrectionSide:
 def _name(state: int) -> str:
     names = {INACTIVE: "INACTIVE", RAMP_IN: "RAMP_IN", ACTIVE: "ACTIVE", HOLD: "HOLD", FADE: "FADE", FAULT: "FAULT"}
     return names.get(state, str(state))
-
-

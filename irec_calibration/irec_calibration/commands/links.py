@@ -42,5 +42,3 @@ def write_table(path: Path, table: DryDriveTable) -> None:
     rows = [",".join([*table.names, *(LINK + n for n in table.names)])]
     rows += [",".join(f"{x:.9g}" for x in (*q, *link)) for q, link in zip(table.q, table.link, strict=True)]
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
-
-

@@ -14,7 +14,7 @@ from ..effects import Evidence, known_effects
 from ..identification.observe import beyond_controller
 from ..model import Estimate, Term, total_displacement
 from ..session.data import Session
-from ..typing import Array, BoolArray, IntArray
+from ..typing import Array, IntArray
 from .directions import TYPICAL_DISPLACEMENT
 from .evidence import Ground
 from .lasting import lasts
@@ -42,18 +42,10 @@ def accidents(study: Study, remainder: Remainder, settings: Settings) -> tuple[P
         here = np.isin(study.observation.rows, part.structure.rows)
         moved = x[own] * TYPICAL_DISPLACEMENT
         others = np.linalg.norm(left[~here], axis=1).max(initial=0.0)
-        if np.linalg.norm(moved) > settings.accident_size * others and not _may_last(study, here, moved, settings):
+        stands_out = np.linalg.norm(moved) > settings.accident_size * others
+        if stands_out and _lasts_from(study, study.observation.rows[here], moved) <= settings.nats_to_prefer:
             out.append(part)
     return tuple(out)
-
-
-def _may_last(study: Study, here: BoolArray, moved: Array, settings: Settings) -> bool:
-    """Whether a step that begins at a bad reading is rather one of the station: the readings of later poses have it too.
-
-    Args:
-        here: rows of the observation, (m,) bool; moved: by how much, (3,), m.
-    """
-    return _lasts_from(study, study.observation.rows[here], moved) > settings.nats_to_prefer
 
 
 def steps_left_out(study: Study, settings: Settings = SETTINGS) -> tuple[int, ...]:
@@ -75,7 +67,11 @@ def steps_left_out(study: Study, settings: Settings = SETTINGS) -> tuple[int, ..
 
 
 def _lasts_from(study: Study, rows: IntArray, moved: Array) -> float:
-    """Log odds that a step that begins at some session rows of one pose lasts; -inf where it can be none."""
+    """Log odds that a step that begins at some session rows of one pose lasts, natural; -inf where it can be none.
+
+    Args:
+        moved: displacement of the step in base_link, (3,), m.
+    """
     stamp, pose = study.session.stamp, _pose_of(study.session, rows[0])
     shift = next((e for e in known_effects().values() if e.evidence is Evidence.ONE_POSE), None)
     if shift is None or not np.isfinite(stamp[pose]).all():

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from .candidates import Option, Trial, options, try_option
-from .evidence import Ground
+from .evidence import Block, Ground
 from .explanation import Explanation, explain, reshaped_again
 from .family import Family
 from .forms import bends, forms_of
@@ -63,8 +63,7 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
     family = family_in_view(study)
     found, skipped = options(study, check=check)
     start = Explanation((), study, 0.0, grow(study.bench, family, study.base))
-    ground = Ground(study.bench, study.base)
-    trials = tuple(sorted((try_option(ground, o, study.ready) for o in found), key=lambda t: -t.log_evidence))
+    trials = tuple(_tried(start, found))
     singles: list[Explanation] = []
     steps, evidence, near = [start], dict[str, float](), dict[str, dict[str, Explanation]]()
     closest, reason = None, ""
@@ -91,8 +90,9 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
                 break
             taken, odds_of_both = both
             evidence |= odds_of_both
+        else:
+            taken = reshaped_again(start, taken, family)
         closest, reason = None, ""
-        taken = reshaped_again(start, taken, family)
         steps.append(taken)
         less = pruned(start, taken, family, settings)
         if less is not taken:
@@ -126,10 +126,7 @@ def two_together(
     """
     if sum(p.log_evidence for p in current.remainder.structures) < settings.nats_for_two:
         return None
-    if trials is None:
-        ground = Ground(current.study.bench, current.study.base)
-        open_ = [o for o in found if o.effect.id not in current.ids]
-        trials = sorted((try_option(ground, o, current.study.ready) for o in open_), key=lambda t: -t.log_evidence)
+    trials = _tried(current, found) if trials is None else trials
     best: tuple[Explanation, dict[str, float]] | None = None
     for trial in trials[: settings.refits]:
         check()
@@ -151,15 +148,11 @@ def step(
     check: Check, settings: Settings,
 ) -> list[Explanation]:  # fmt: skip
     """The best effects on top of a model, fitted exactly, each with its remainder; best first."""
-    scene = current.study.ready
     open_ = [o for o in found if o.effect.id not in current.ids]
-    if trials is None:
-        ground = Ground(current.study.bench, current.study.base)
-        trials = sorted((try_option(ground, o, scene) for o in open_), key=lambda t: -t.log_evidence)
+    trials = _tried(current, found) if trials is None else trials
     chosen = [t for t in trials[: settings.refits] if t.log_evidence > 1.0]
     if current.remainder.parts:
-        beside = Ground(current.study.bench, current.remainder.block)
-        more = sorted((try_option(beside, o, scene) for o in open_), key=lambda t: -t.log_evidence)
+        more = _tried(current, found, current.remainder.block)
         known = {t.effect.id for t in chosen}
         chosen += [t for t in more[: settings.refits] if t.log_evidence > 1.0 and t.effect.id not in known]
     # what the readings at the references have is tried whatever differences say by themselves
@@ -173,6 +166,13 @@ def step(
         if one is not None:
             out.append(one)
     return laws_by_themselves(sorted(out, key=lambda e: -e.log_evidence))
+
+
+def _tried(current: Explanation, found: Sequence[Option], beside: Block | None = None) -> list[Trial]:
+    """Every effect that a model does not have, on top of it or of more columns, best first."""
+    ground = Ground(current.study.bench, current.study.base if beside is None else beside)
+    tried = (try_option(ground, o, current.study.ready) for o in found if o.effect.id not in current.ids)
+    return sorted(tried, key=lambda t: -t.log_evidence)
 
 
 def laws_by_themselves(tried: Sequence[Explanation]) -> list[Explanation]:

@@ -109,4 +109,3 @@ def repeat_noise(observation: Observation, residual: Array) -> tuple[float, int,
     if not dof:
         return float("nan"), 0, 1.0
     return float(np.sqrt(3.0 * total / dof)), dof, relative / dof
-

@@ -145,7 +145,7 @@ class Settings(Thresholds):
     )  # fmt: skip
     nats_of_accident: float = threshold(
         40.0, "nats", "evidence that a row or a reference stands out, from which it is an accident before causes are weighed",
-        "twice what a name needs that one pose shows; in 127 sessions of other physics no cause brought 30 in one reading",
+        "chosen: twice what a name needs that one pose shows",
     )  # fmt: skip
     accident_size: float = threshold(
         3.0, "times the largest other residual", "from which such a row is one",

@@ -17,7 +17,7 @@ from .observe import Observation
 from .system import System, linearise, solve, with_values
 
 MAX_ITERATIONS = 20
-CONVERGED = 1e-7  # of the parameter scale
+CONVERGED = 1e-6  # of the parameter scale
 SETTLED = 1e-9  # relative fall of the loss below which nothing is gained any more
 HALVINGS = 12
 

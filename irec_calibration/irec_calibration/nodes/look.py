@@ -57,6 +57,7 @@ def look(node: Any, noise: dict[str, float], go_on: Callable[[], None]) -> Readi
         (JointState, "joint_states", on_joints),
         (RobotState, "robot/state", state.append),
     ]
+
     def readings() -> Readings:
         last = state[-1] if state else None
         return Readings(

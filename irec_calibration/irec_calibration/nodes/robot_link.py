@@ -154,4 +154,3 @@ class RobotLink:
         message.header.frame_id = "tool0"
         message.wrench.force = vector(force_in_tool)
         self._force.publish(message)
-

@@ -204,4 +204,3 @@ def _message_of(row: dict[str, str], n_joints: int, stamp_ns: int) -> bytes:
         station=row["station"], wrench_in_tool=[*vector("force"), *vector("torque")],
         temperature_names=temperatures, temperature=numbers(*temperatures),
     )  # fmt: skip
-
