@@ -11,7 +11,7 @@ from ..effects import Axes, Evidence
 from ..model import Term
 from .candidates import Trial, supported
 from .family import Family
-from .forms import NO_FORMS, Forms, bends
+from .forms import NO_FORMS, Forms, bends, forms_of, steps
 from .priors import FACTORS
 from .readings import against, carried
 from .remainder import Part, Remainder, grow
@@ -111,10 +111,15 @@ def without(start: Explanation, one: Explanation, effect_id: str, family: Family
     return Explanation(added, rest_study, one.named - min(lost, one.study.bench.saved(bare.chi2, with_it.chi2)), rest)
 
 
-def bent_by_others(one: Explanation, effect_id: str) -> frozenset[int]:
-    """Axes whose curve of angle over torque an effect bends, and another added one too."""
-    others = [bends(t, one.study.ready) for t in one.added if t.effect.id != effect_id]
-    return bends(one.term(effect_id), one.study.ready).intersection(frozenset().union(*others))
+def own_forms(one: Explanation, effect_id: str) -> Forms:
+    """Structures that an added effect is a special form of, less the laws of axes that another one bends, or turns by the step
+    just made, too: it may only mend the other's form."""
+    scene, term = one.study.ready, one.term(effect_id)
+    others = [t for t in one.added if t.effect.id != effect_id]
+    bent = bends(term, scene).intersection(frozenset().union(*(bends(t, scene) for t in others)))
+    stepped = frozenset[int]().union(*(steps(t, scene) for t in others))
+    forms = forms_of(term, scene)
+    return replace(forms, axes=forms.axes - bent, steps=forms.steps - stepped)
 
 
 def implausible(one: Explanation, effect_id: str) -> str:

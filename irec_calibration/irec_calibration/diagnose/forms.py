@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..effects import Cause
+from ..effects import Cause, Effect
 from ..effects import Family as Alike
 from ..effects.scene import Scene
 from ..model import Term
@@ -18,20 +18,23 @@ class Forms:
 
     Attributes:
         axes: general laws of the torque of these axes; turns: of axes whose compliance goes with their own angle; tilts: links
-            that tilt across their axis; drifts: what follows time or a temperature whatever the force.
+            that tilt across their axis; drifts: what follows time or a temperature whatever the force; steps: general laws of the
+            step just made by these axes.
     """
 
     axes: frozenset[int] = frozenset()
     drifts: bool = False
     tilts: bool = False
     turns: frozenset[int] = frozenset()
+    steps: frozenset[int] = frozenset()
 
     def __bool__(self) -> bool:
-        return bool(self.axes) or bool(self.turns) or self.drifts or self.tilts
+        return bool(self.axes) or bool(self.turns) or bool(self.steps) or self.drifts or self.tilts
 
     def has(self, structure: Structure) -> bool:
         law = structure.law_of is not None and structure.law_of in self.axes
         law = law or (structure.softer_by_angle is not None and structure.softer_by_angle in self.turns)
+        law = law or (structure.by_step and structure.axis in self.steps)
         return law or (self.drifts and structure.is_drift) or (self.tilts and structure.is_tilt)
 
 
@@ -42,13 +45,26 @@ def forms_of(term: Term, scene: Scene) -> Forms:
     """Structures that an effect is a special form of."""
     if term.effect.cause is Cause.TIME and term.effect.family is Alike.TIME:
         return Forms(drifts=True)
-    if term.effect.family is not Alike.TORQUE_LAW:
-        return NO_FORMS
-    own = term.effect.parameters(scene)
-    axes = frozenset(p.axis for p in own if p.axis is not None and p.name in term.estimates)
-    return Forms(axes, turns=axes if term.effect.by_angle else frozenset())
+    axes, none = _axes(term, scene), frozenset[int]()
+    law = term.effect.family is Alike.TORQUE_LAW
+    return Forms(axes if law else none, turns=axes if law and term.effect.by_angle else none, steps=steps(term, scene))
+
+
+def follows_step(effect: Effect, scene: Scene) -> bool:
+    """Whether an effect turns an axis by a law of the step just made: where no load acts, all that history leaves."""
+    return scene.kind == "absolute" and ("step" in effect.needs or "order" in effect.needs)
+
+
+def steps(term: Term, scene: Scene) -> frozenset[int]:
+    """Axes that an effect turns by a law of the step just made."""
+    return _axes(term, scene) if follows_step(term.effect, scene) else frozenset()
 
 
 def bends(term: Term, scene: Scene) -> frozenset[int]:
     """Axes of which an effect bends the curve of angle over torque, whatever was before."""
     return frozenset() if "order" in term.effect.needs else forms_of(term, scene).axes
+
+
+def _axes(term: Term, scene: Scene) -> frozenset[int]:
+    own = term.effect.parameters(scene)
+    return frozenset(p.axis for p in own if p.axis is not None and p.name in term.estimates)

@@ -17,10 +17,10 @@ from ..typing import Array
 from .evidence import Ground
 from .explanation import (
     Explanation,
-    bent_by_others,
     everywhere,
     implausible,
     in_one_pose,
+    own_forms,
     remainder_of,
     shown_by_readings,
     without,
@@ -84,8 +84,7 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
         along = along_readings(bare.study, one.term(effect_id).effect)
         own = max(one.named - bare.named, along)
         return own + shown if along > settings.nats_to_prefer else own
-    forms = forms_of(one.term(effect_id), one.study.ready)
-    forms = replace(forms, axes=forms.axes - bent_by_others(one, effect_id))
+    forms = own_forms(one, effect_id)
 
     def beside(forms: Forms) -> tuple[float, float]:
         """Evidence of structures in its place, and of those that are left beside it."""

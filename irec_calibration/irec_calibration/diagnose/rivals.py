@@ -10,7 +10,7 @@ from .candidates import Option, try_option
 from .evidence import Ground
 from .explanation import Explanation, explain, implausible, in_one_pose, remainder_of, reshaped_again, shown_by_readings, without
 from .family import Family
-from .forms import Forms, forms_of
+from .forms import Forms, follows_step, forms_of
 from .lasting import lasts
 from .readings import proved
 from .remainder import grow
@@ -42,7 +42,12 @@ def rivals_of(
     for term in final.added:
         others: dict[str, Explanation | None] = {i: e for i, e in near.get(term.effect.id, {}).items() if i not in final.ids}
         # those of its family too, before which something else may have come in
-        alike = [o.effect.id for o in found if o.effect.family is term.effect.family]
+        by_step = follows_step(term.effect, final.study.ready)
+        alike = [
+            o.effect.id
+            for o in found
+            if o.effect.family is term.effect.family or (by_step and follows_step(o.effect, final.study.ready))
+        ]
         others |= {i: None for i in (*alike, *gone) if i not in final.ids and i not in others}
         if not others:
             continue
@@ -68,7 +73,7 @@ def rivals_of(
                 continue
             if sure and not one.term(other).effect.in_readings:
                 continue
-            law = term.effect.family is Alike.TORQUE_LAW and other in alike
+            law = (term.effect.family is Alike.TORQUE_LAW or by_step) and other in alike
             if law:  # as the shapes of the model with the name were found beside each other, so are these
                 one = reshaped_again(start, one, family)
             if then is not None and set(then.ids) == set(one.ids):

@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from absolute_sessions import session, torsion
 from irec_calibration.diagnose import diagnose, start_terms
 from irec_calibration.diagnose.evidence import Ground
+from irec_calibration.diagnose.explanation import Explanation, own_forms
 from irec_calibration.diagnose.level import family_in_view
 from irec_calibration.diagnose.remainder import grow
 from irec_calibration.diagnose.study import prepare
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
+from irec_calibration.model import Estimate, Term
 from irec_calibration.session import Noise, Session
 from numpy.typing import NDArray
 
@@ -34,6 +38,11 @@ def seen_at_wrong_angles(s: Session, p: Array) -> Array:
     """An encoder of the tracker that sits beside its axis: 40 urad, three times per turn."""
     v = p - np.asarray(s.stations[0].xyz)
     return np.asarray(SOFT(s, p) + 4e-5 * np.sin(3.0 * np.arctan2(v[:, 1], v[:, 0]))[:, None] * np.cross([0.0, 0.0, 1.0], v))
+
+
+def settles_slowly(s: Session, p: Array) -> Array:
+    step = np.diff(s.q[:, 2], prepend=s.q[0, 2])
+    return np.asarray(SOFT(s, p) + 1.5e-4 * step[:, None] * s.robot.kinematics(s.q).jacobian(p)[:, :, 2])
 
 
 def test_what_a_structure_is_said_to_bring_it_brings() -> None:
@@ -64,3 +73,18 @@ def test_what_the_instrument_reads_wrongly_is_told_by_where_it_looks_and_passes_
     verdict = diagnose(session(poses=80, noise=NOISE, moved=seen_at_wrong_angles)).verdict
     assert "encoder_harmonics" not in verdict.effects
     assert verdict.remaining_m > 1e-5 and "marker_x" in verdict.depends_on, verdict.text
+
+
+def test_the_general_law_of_the_step_before_is_no_rival_of_what_is_a_form_of_it() -> None:
+    made = session(poses=80, noise=NOISE, moved=settles_slowly)
+    assert set(diagnose(made).verdict.effects) == {"joint_settling", "joint_torsion"}
+    study = prepare(made, start_terms(made)).to_weigh
+    by_step = [s for s in family_in_view(study).structures if s.by_step and s.axis == 2]
+    settling, friction = (
+        Term(find_effect(i), {n: Estimate(1e-5, unit="1", lower=-1.0, upper=1.0)})
+        for i, n in (("joint_settling", "a_3"), ("joint_hysteresis", "lag_3"))
+    )
+    alone = Explanation((settling,), study, 0.0, grow(study.bench, family_in_view(study), study.base))
+    assert all(own_forms(alone, "joint_settling").has(s) for s in by_step) and by_step
+    # beside friction it may only mend that one's form
+    assert not any(own_forms(replace(alone, added=(settling, friction)), "joint_settling").has(s) for s in by_step)
