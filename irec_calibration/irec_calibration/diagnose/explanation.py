@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite, log
 
 from ..effects import Axes, Evidence
@@ -36,6 +36,7 @@ class Explanation:
     study: Study
     named: float
     remainder: Remainder
+    _less: dict[str, Explanation] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -86,16 +87,27 @@ def remainder_of(study: Study, family: Family, known: Sequence[Part], forms: For
     Args:
         forms: structures that are left out.
     """
-    without = forms.has if forms else None
-    fresh = grow(study.bench, family, study.base, without=without)
-    if not known:
-        return fresh
-    again = grow(study.bench, family, study.base, known, without=without)
-    return max(fresh, again, key=lambda r: r.gained)
+    fresh = _grown(study, family, (), forms)
+    return max(fresh, _grown(study, family, known, forms), key=lambda r: r.gained) if known else fresh
+
+
+def _grown(study: Study, family: Family, known: Sequence[Part], forms: Forms) -> Remainder:
+    """As `grow`; the same is asked of a model several times, and kept with it."""
+    structures = tuple(p.structure for p in known)
+    key = (id(family), forms, *map(id, structures))
+    if key not in study.kept:  # what ids stand for is kept alive with it
+        study.kept[key] = (family, structures), grow(study.bench, family, study.base, known, without=forms.has if forms else None)
+    return study.kept[key][1]
 
 
 def without(start: Explanation, one: Explanation, effect_id: str, family: Family) -> Explanation:
     """A model without one of its added effects, refitted, with a remainder that may take its place."""
+    if effect_id not in one._less:
+        one._less[effect_id] = _without(start, one, effect_id, family)
+    return one._less[effect_id]
+
+
+def _without(start: Explanation, one: Explanation, effect_id: str, family: Family) -> Explanation:
     if len(one.added) == 1:
         rest = remainder_of(start.study, family, one.remainder.parts)
         return replace(start, remainder=max(rest, start.remainder, key=lambda r: r.gained))

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..typing import Array, BoolArray
+from ..typing import Array, BoolArray, IntArray
 from .directions import TYPICAL_DISPLACEMENT, drifts, plain, readings, shaped, tilts, two_variables
 from .evidence import Block, Ground
 from .memories import memories
@@ -76,19 +76,21 @@ class Family:
         return Block(A, -free, free, np.full(A.shape[1], amplitude))
 
     @cached_property
-    def _own_grams(self) -> dict[int, tuple[list[int], Array]]:
-        """Structures with equally many columns together: their places, and their Gram matrices (k, m, m)."""
+    def _alike(self) -> tuple[_Alike, ...]:
+        """Structures with equally many columns together."""
         by_size: dict[int, list[int]] = {}
         for i, s in enumerate(self.structures):
             by_size.setdefault(s.columns.stop - s.columns.start, []).append(i)
-        out = {}
+        out = []
         for m, places in by_size.items():
             grams = np.empty((len(places), m, m))
             for j, i in enumerate(places):
                 X = self.A[:, self.structures[i].columns]
                 grams[j] = X.T @ X
-            out[m] = (places, grams)
-        return out
+            start = np.array([self.structures[i].columns.start for i in places])
+            largest = np.maximum([self.structures[i].largest for i in places], AMPLITUDES[0])
+            out.append(_Alike(np.array(places), start[:, None] + np.arange(m), grams, AMPLITUDES[:, None] <= largest))
+        return tuple(out)
 
     @cached_property
     def _rows(self) -> dict[int, Array]:
@@ -109,23 +111,51 @@ class Family:
         """
         V, u = ground.reduce(self.A) if products is None else ground.reduced(*products)
         gain, amplitude = np.empty(len(self.structures)), np.empty(len(self.structures))
-        for places, grams in self._own_grams.values():
-            index = np.array([np.arange(self.structures[i].columns.start, self.structures[i].columns.stop) for i in places])
-            Vi = V[:, index].transpose(1, 0, 2)
-            S = grams - Vi.transpose(0, 2, 1) @ Vi
-            values, vectors = np.linalg.eigh(0.5 * (S + S.transpose(0, 2, 1)))
-            values = np.maximum(values, 0.0)
-            w2 = np.einsum("kij,ki->kj", vectors, u[index]) ** 2
-            a2 = (AMPLITUDES**2)[:, None, None]
-            grown = 1.0 + a2 * values
-            loss = ground.loss - (a2 * w2 / grown).sum(axis=2)
-            all_of = ground.fit_gain(loss) - 0.5 * np.log(grown).sum(axis=2)
-            can_be = AMPLITUDES[:, None] <= np.maximum([self.structures[i].largest for i in places], AMPLITUDES[0])
-            all_of[~can_be] = -np.inf
-            top = all_of.max(axis=0)
-            gain[places] = top + np.log(np.exp(all_of - top).sum(axis=0) / can_be.sum(axis=0))
-            amplitude[places] = AMPLITUDES[all_of.argmax(axis=0)]
+        for alike in self._alike:
+            Vi = V[:, alike.columns].transpose(1, 0, 2)
+            gain[alike.places], amplitude[alike.places] = _gained(ground, alike, Vi, u[alike.columns])
         return gain, amplitude
+
+    def gain_of(self, place: int, ground: Ground, products: tuple[Array, Array]) -> tuple[float, float]:
+        """As `gains`, of one structure."""
+        at = self.structures[place].columns
+        crossed, by_b = products
+        V, u = ground.reduced(crossed[:, at], by_b[at])
+        of = next(a for a in self._alike if a.columns.shape[1] == len(u))
+        i = np.flatnonzero(of.places == place)
+        gain, amplitude = _gained(ground, _Alike(of.places[i], of.columns[i], of.grams[i], of.can_be[:, i]), V[None], u[None])
+        return float(gain[0]), float(amplitude[0])
+
+
+@dataclass(frozen=True)
+class _Alike:
+    """k structures with m columns each: their places, columns (k, m), Gram matrices (k, m, m), and which amplitudes can be,
+    (amplitudes, k)."""
+
+    places: IntArray
+    columns: IntArray
+    grams: Array
+    can_be: BoolArray
+
+
+def _gained(ground: Ground, alike: _Alike, V: Array, u: Array) -> tuple[Array, Array]:
+    """Log evidence that structures add to a ground and their best amplitudes, (k,) each.
+
+    Args:
+        V: (k, free, m), u: (k, m), of their columns, as `Ground.reduce`.
+    """
+    S = alike.grams - V.transpose(0, 2, 1) @ V
+    values, vectors = np.linalg.eigh(0.5 * (S + S.transpose(0, 2, 1)))
+    values = np.maximum(values, 0.0)
+    w2 = np.einsum("kij,ki->kj", vectors, u) ** 2
+    a2 = (AMPLITUDES**2)[:, None, None]
+    grown = 1.0 + a2 * values
+    loss = ground.loss - (a2 * w2 / grown).sum(axis=2)
+    all_of = ground.fit_gain(loss) - 0.5 * np.log(grown).sum(axis=2)
+    all_of[~alike.can_be] = -np.inf
+    top = all_of.max(axis=0)
+    gain: Array = top + np.log(np.exp(all_of - top).sum(axis=0) / alike.can_be.sum(axis=0))
+    return gain, AMPLITUDES[all_of.argmax(axis=0)]
 
 
 def family_of(study: Study) -> Family:

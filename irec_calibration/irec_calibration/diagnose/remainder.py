@@ -92,9 +92,9 @@ def grow(
         i = place[id(part.structure)]
         if i in taken:
             continue
-        gain, amplitude = family.gains(ground, (at.crossed, at.by_b))
-        if gain[i] - tried[i] > 0.0:
-            take(i, float(gain[i] - tried[i]), float(amplitude[i]))
+        alone, size = family.gain_of(i, ground, (at.crossed, at.by_b))
+        if alone > tried[i]:
+            take(i, float(alone - tried[i]), size)
     while sum(not p.structure.is_bad_row for p in parts) < most and len(parts) < 3 * most and len(family.structures):
         gain, amplitude = family.gains(ground, (at.crossed, at.by_b))
         score = gain - tried

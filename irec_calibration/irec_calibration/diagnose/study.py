@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import log
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ import numpy as np
 from ..effects import Effect, Parameter, absent, known_effects
 from ..effects.scene import Scene
 from ..identification.absolute import completed, thinned
+from ..identification.gauss_newton import fitted
 from ..identification.identify import Fit, fit, observe_with_force_noise
 from ..identification.observe import Observation
 from ..identification.system import linearise
@@ -24,8 +25,9 @@ from .evidence import Bench, Block, NoisePrior
 from .priors import LEVELS, choices, log_odds_of_form
 
 if TYPE_CHECKING:
-    from .remainder import Part
+    from .remainder import Part, Remainder
 
+ROUGHLY = 1e-4  # relative fall of the loss at which springs are known well enough to set widths by them
 ROUNDS = 2  # in which widths of priors follow the springs; a third changes them by less than a per cent
 
 
@@ -42,6 +44,7 @@ class Study:
         scale: physical value of one scaled unit, (p,).
         apart: rows that stand out and have noise of their own in it (`apart.py`); as_stated: the same with that for
             accidents only (`accidents.py`), None where no row stands out.
+        kept: remainders beside it that were asked for (`explanation.remainder_of`).
     """
 
     fit: Fit
@@ -53,6 +56,7 @@ class Study:
     bench: Bench
     apart: tuple[Part, ...] = ()
     as_stated: Study | None = None
+    kept: dict[object, tuple[object, Remainder]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def to_weigh(self) -> Study:
@@ -148,7 +152,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     """As `prepare`, for an observation that exists already."""
     scene, terms = observation.scene, completed(terms, observation)
     own = _widths(terms, scene)
-    first = fit(terms, observation, prior_width=own).terms
+    first, _ = fitted(terms, observation, prior_width=own, settled=ROUGHLY)
     system = linearise(first, observation)
     owners = [terms[i].effect.id for i in system.owner]
     believed = NoisePrior(scale=1.0 / observation.whiten.level)
@@ -167,7 +171,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
         block = replace(block, width=_softness(bench, block, follows) * narrow)
     width = block.width
     result = fit(first, observation, prior_width=width)
-    system = linearise(result.terms, observation)
+    system = result.system
     ready = apply_wrench_effects(result.terms, scene)
     ready = replace(ready, elastic=elastic_response(result.terms, ready))
     return Study(

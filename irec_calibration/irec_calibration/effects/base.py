@@ -217,6 +217,13 @@ class Effect(ABC):
         return None
 
 
+def parameters_of(effect: Effect, scene: Scene) -> tuple[Parameter, ...]:
+    """As `Effect.parameters`, kept with the scene: a fit asks for the same thousands of times."""
+    if id(effect) not in scene.asked:
+        scene.asked[id(effect)] = effect, tuple(effect.parameters(scene))
+    return scene.asked[id(effect)][1]
+
+
 def absent(scene: Scene, needs: tuple[str, ...]) -> str:
     """Why a scene can't show an effect that needs something, or an empty string.
 

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from ..typing import Array, IntArray
+from ..typing import Array
 from .base import Effect, Parameter
 from .live import ElasticLaw, LiveForm, Tick
 from .scene import Scene
@@ -66,18 +66,17 @@ class Creep(Effect):
         return np.mean([self._by_one(scene, v, t, memory) for t in time_constants(T, spread)], axis=0)
 
     def _by_one(self, scene: Scene, v: Array, T: float, memory: float) -> Array:
-        order = np.lexsort((scene.load_case, scene.stamp))
         along = (-1, *[1] * (v.ndim - 1))
         if memory >= 0.5:
             reached = (1.0 - np.exp(-np.maximum(scene.stamp - scene.load_since, 0.0) / T)).reshape(along)
             crept = v * reached
-            for rows in _one_after_the_other(scene.previous, order):
+            for rows in scene.rows.in_turn[1:]:
                 before = crept[scene.previous[rows]]
                 crept[rows] = before + (v[rows] - before) * reached[rows]
             return crept
         u = scene.response.displacement
         since, applied = np.array(scene.load_since), u.copy()
-        for i in order:
+        for i in np.lexsort((scene.load_case, scene.stamp)):
             before = scene.previous[i]
             if before >= 0 and not _changed(u[i], applied[before]):
                 since[i], applied[i] = since[before], applied[before]
@@ -90,18 +89,7 @@ class Creep(Effect):
 def _shortest_seen(scene: Scene) -> float:
     """Shortest time constant that the rows of a scene can show, s: of a shorter one less than a seventh is left at their first
     readings, which friction or an arm that is still settling does as well."""
-    dwell = (scene.stamp - scene.load_since)[scene.stamp > scene.load_since]
-    return max(0.5 * float(np.quantile(dwell, 0.05)), SHORTEST) if len(dwell) else SHORTEST
-
-
-def _one_after_the_other(previous: IntArray, order: IntArray) -> list[IntArray]:
-    """Rows that have one before them, as many at once as do not wait for each other."""
-    depth = np.zeros(len(previous), dtype=np.int64)
-    for i in order:
-        if previous[i] >= 0:
-            depth[i] = depth[previous[i]] + 1
-    by_depth = np.argsort(depth, kind="stable")
-    return np.split(by_depth, np.flatnonzero(np.diff(depth[by_depth])) + 1)[1:]
+    return max(0.5 * scene.rows.short_dwell, SHORTEST)
 
 
 def _changed(u: Array, applied: Array) -> bool:

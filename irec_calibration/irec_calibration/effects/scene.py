@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ class Scene:
     Attributes:
         ext: external axes by name, (n,), m or rad. temperature: by name, (n,), degC.
         elastic: what the model's elastic effects answer in these rows; only for effects with `needs_elastic`.
+        asked: parameters that effects have here, as far as they were asked for (`parameters_of`).
     """
 
     rows: Rows
@@ -37,6 +39,7 @@ class Scene:
     ext: dict[str, Array] = field(default_factory=dict)
     temperature: dict[str, Array] = field(default_factory=dict)
     elastic: ElasticResponse | None = None
+    asked: dict[int, tuple[object, tuple[Any, ...]]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not self.view.arm is self.load.arm is self.gravity.arm:

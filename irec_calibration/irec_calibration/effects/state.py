@@ -47,6 +47,13 @@ class Rows:
             out.append(np.flatnonzero(np.isin(self.previous, out[-1])))
         return tuple(out[:-1])
 
+    @cached_property
+    def short_dwell(self) -> float:
+        """Time under the load that all rows but one in twenty exceed, of those that were read some time after it came, s; 0 where
+        there are none."""
+        dwell = (self.stamp - self.load_since)[self.stamp > self.load_since]
+        return float(np.quantile(dwell, 0.05)) if len(dwell) else 0.0
+
     @property
     def under_load(self) -> BoolArray:
         """Rows in which a load acts: all of an absolute session, those with a load case of a loaded one, (n,)."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..effects import absent
+from ..effects import absent, parameters_of
 from ..errors import Cancelled, SolveError
 from ..model import Estimate, Term, total_displacement
 from ..typing import Array
@@ -27,6 +27,7 @@ def fitted(
     observation: Observation,
     *,
     prior_width: Array | None = None,
+    settled: float = SETTLED,
     cancelled: Callable[[], bool] | None = None,
 ) -> tuple[tuple[Term, ...], bool]:
     """Fit all parameters of the terms jointly.
@@ -35,6 +36,7 @@ def fitted(
         terms: effects with start values.
         observation: what was measured.
         prior_width: see `system.solve`.
+        settled: relative fall of the loss below which nothing is gained any more.
         cancelled: called between iterations; returning True stops.
 
     Returns:
@@ -45,30 +47,34 @@ def fitted(
         Cancelled: as asked for.
     """
     terms = tuple(_with_starts(t, observation) for t in completed(terms, observation))
-    loss: float | None = None
+    loss, moved = np.inf, None
     for _ in range(MAX_ITERATIONS):
         if cancelled is not None and cancelled():
             raise Cancelled("the fit was cancelled")
-        system = linearise(terms, observation)
+        moved = total_displacement(terms, observation.scene) if moved is None else moved
+        system = linearise(terms, observation, moved)
         now = _values(terms, system)
-        if loss is None:
-            loss = _loss(terms, observation, now, prior_width)
+        if not np.isfinite(loss):
+            loss = _loss(moved, observation, now, prior_width)
         step = solve(system, prior_width=prior_width) - now
+        if _promised(system, now, step, prior_width) <= settled * loss and _in_bounds(now, system):
+            return terms, True
         taken = 1.0
         for _ in range(HALVINGS):
             x = now + taken * step
             tried = with_values(terms, system, x)
-            new = _loss(tried, observation, x, prior_width)
+            ahead = total_displacement(tried, observation.scene)
+            new = _loss(ahead, observation, x, prior_width)
             if new <= loss * (1.0 + SETTLED) or not np.isfinite(loss):
                 break
             taken *= 0.5
         else:
             # the step leads nowhere: at the minimum up to rounding, or stuck where the linearisation does not hold
             return terms, bool(_promised(system, now, step, prior_width) < 1e-3 * max(loss, 1.0))
-        gained, loss, terms = loss - new, new, tried
+        gained, loss, terms, moved = loss - new, new, tried, ahead
         if taken == 1.0 and not _iterates(terms, observation):
             return terms, True
-        if np.abs(taken * step).max() < CONVERGED * (1.0 + np.abs(x).max()) or gained <= SETTLED * max(loss, 1e-30):
+        if np.abs(taken * step).max() < CONVERGED * (1.0 + np.abs(x).max()) or gained <= settled * max(loss, 1e-30):
             return terms, True
     return terms, False
 
@@ -85,10 +91,14 @@ def _values(terms: Sequence[Term], system: System) -> Array:
     return np.array(at) / system.scale - system.centre
 
 
-def _loss(terms: Sequence[Term], observation: Observation, x: Array, prior_width: Array | None) -> float:
-    residual = observation.y - observation.of(total_displacement(terms, observation.scene))
+def _loss(moved: Array, observation: Observation, x: Array, prior_width: Array | None) -> float:
+    residual = observation.y - observation.of(moved)
     penalty = 0.0 if prior_width is None else float(((x / prior_width) ** 2).sum())
     return float((observation.whiten(residual) ** 2).sum()) + penalty
+
+
+def _in_bounds(now: Array, system: System) -> bool:
+    return bool(((now >= system.lower) & (now <= system.upper)).all())
 
 
 def _promised(system: System, now: Array, step: Array, prior_width: Array | None) -> float:
@@ -104,8 +114,8 @@ def _promised(system: System, now: Array, step: Array, prior_width: Array | None
 def _nonlinear(term: Term, observation: Observation) -> bool:
     """Whether the displacement of a term is not simply regressor times values."""
     scene = observation.scene
-    theta = term.theta(term.effect.parameters(scene))
-    on_grid = [bool(p.grid) for p in term.effect.parameters(scene)]
+    theta = term.theta(parameters_of(term.effect, scene))
+    on_grid = [bool(p.grid) for p in parameters_of(term.effect, scene)]
     by_regressor = term.effect.regressor(scene, theta) @ np.where(on_grid, 0.0, theta)
     return not np.allclose(by_regressor, term.effect.displacement(scene, theta), rtol=1e-9, atol=1e-12)
 
@@ -114,7 +124,7 @@ def _with_starts(term: Term, observation: Observation) -> Term:
     why = absent(observation.scene, term.effect.needs)
     if why:
         raise SolveError(f"effect '{term.effect.id}' can't be identified from {observation.session.name}: {why}")
-    own = term.effect.parameters(observation.scene)
+    own = parameters_of(term.effect, observation.scene)
     named = [p for p in own if p.name in term.estimates] or own
     estimates = {p.name: term.estimates.get(p.name, Estimate(p.start, unit=p.unit, lower=p.lower, upper=p.upper)) for p in named}
     return replace(term, estimates=estimates)

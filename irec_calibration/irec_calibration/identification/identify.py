@@ -39,6 +39,7 @@ class Fit:
         chi2: sum of whitened squared residuals; dof: equations minus rank.
         rank: numerical rank of the observation matrix.
         combinations: what is known of parameters that can't be told apart.
+        system: the linearised equations about the values.
         converged: the iteration reached a minimum of the true residual; where not, the best values that it came by are here.
     """
 
@@ -51,6 +52,7 @@ class Fit:
     rank: int
     condition: float
     combinations: tuple[Combination, ...]
+    system: System
     converged: bool = True
 
 
@@ -88,8 +90,9 @@ def fit(
 
 
 def _describe(terms: tuple[Term, ...], observation: Observation, converged: bool) -> Fit:
-    system = linearise(terms, observation)
-    residual = observation.y - observation.of(total_displacement(terms, observation.scene))
+    moved = total_displacement(terms, observation.scene)
+    system = linearise(terms, observation, moved)
+    residual = observation.y - observation.of(moved)
     chi2 = float((observation.whiten(residual) ** 2).sum())
     named = list(zip(system.owner, system.parameters, strict=True))
     values = np.array([terms[i].estimates[p.name].value for i, p in named])
@@ -107,6 +110,7 @@ def _describe(terms: tuple[Term, ...], observation: Observation, converged: bool
         rank=known.rank,
         condition=known.condition,
         combinations=tuple(replace(c, se=excess * c.se) for c in known.combinations),
+        system=system,
         converged=converged,
     )
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..effects import Parameter
+from ..effects import Parameter, parameters_of
 from ..effects.scene import Scene
 from ..errors import SolveError
-from ..model import Estimate, Term, regressors, total_displacement
+from ..model import Estimate, Term, prepared, regressors, total_displacement
 from ..typing import Array, BoolArray, IntArray
 from .bounded import solve_bounded_gram
 from .observe import Observation
@@ -49,15 +49,20 @@ class System:
     pose: IntArray
 
 
-def linearise(terms: Sequence[Term], observation: Observation) -> System:
+def linearise(terms: Sequence[Term], observation: Observation, moved: Array | None = None) -> System:
     """The observation system of the terms about their values, without parameters that enter by a grid (held fixed).
 
     A term that names some of its effect's parameters has only those; the others are held where they start.
+
+    Args:
+        moved: displacement by the terms in each row of the session, (n, 3), m, where it is known already.
     """
     scene = observation.scene
+    ready = prepared(terms, scene)
+    moved = total_displacement(terms, scene, ready) if moved is None else moved
     blocks, parameters, owner, values = [], [], [], []
-    for i, (term, block) in enumerate(zip(terms, regressors(terms, scene), strict=True)):
-        own = term.effect.parameters(scene)
+    for i, (term, block) in enumerate(zip(terms, regressors(terms, scene, ready), strict=True)):
+        own = parameters_of(term.effect, scene)
         free = term.free(own)
         blocks.append(block[:, :, free])
         parameters += [own[j] for j in free]
@@ -68,7 +73,7 @@ def linearise(terms: Sequence[Term], observation: Observation) -> System:
     scale = np.array([p.scale for p in parameters])
     A_rows = observation.of(np.concatenate(blocks, axis=2)) * scale
     A = observation.whiten(A_rows).reshape(-1, len(parameters))
-    residual = observation.whiten(observation.y - observation.of(total_displacement(terms, scene))).ravel()
+    residual = observation.whiten(observation.y - observation.of(moved)).ravel()
     x = np.array(values) / scale
     centre = np.where([p.flat for p in parameters], x, 0.0)
     return System(
@@ -117,5 +122,5 @@ def free_regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
     """Regressors of the parameters that `linearise` keeps (those without a grid), list of (n, 3, p)."""
     out = []
     for term, block in zip(terms, regressors(terms, scene), strict=True):
-        out.append(block[:, :, term.free(term.effect.parameters(scene))])
+        out.append(block[:, :, term.free(parameters_of(term.effect, scene))])
     return out

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..effects import Axes, Effect, Parameter, find_effect, is_predicted
+from ..effects import Axes, Effect, Parameter, find_effect, is_predicted, parameters_of
 from ..effects.scene import Scene
 from ..effects.state import ElasticResponse
 from ..errors import ModelError
 from ..typing import Array, Json
-from .springs import by_parameters, displacement_at, is_kept, response_of
+from .springs import answer_of, by_parameters, displacement_at, is_kept, response_of
 
 SIX_DOF = ("joint_torsion",)
 EIGHTEEN_DOF = ("joint_torsion", "link_bending")
@@ -175,7 +175,7 @@ def axis_compliances(terms: Sequence[Term], scene: Scene) -> dict[int, Estimate]
         p.axis: term.estimates[p.name]
         for term in terms
         if term.effect.compliance_of is Axes.ACTUATED
-        for p in term.effect.parameters(scene)
+        for p in parameters_of(term.effect, scene)
         if p.axis is not None and p.name in term.estimates
         if term.estimates[p.name].identified and math.isfinite(term.estimates[p.name].se)
     }
@@ -185,7 +185,7 @@ def apply_wrench_effects(terms: Sequence[Term], scene: Scene) -> Scene:
     """The scene under the wrench that really acts, by the model's sensor effects."""
     for term in terms:
         if term.effect.acts_on == "wrench":
-            scene = scene.with_wrench(*term.effect.wrench(scene, term.theta(term.effect.parameters(scene))))
+            scene = scene.with_wrench(*term.effect.wrench(scene, term.theta(parameters_of(term.effect, scene))))
     return scene
 
 
@@ -196,7 +196,7 @@ def displacement_of(term: Term, scene: Scene) -> Array:
 
 
 def _moved(term: Term, scene: Scene) -> Array:
-    theta = term.theta(term.effect.parameters(scene))
+    theta = term.theta(parameters_of(term.effect, scene))
     return displacement_at(term.effect, theta, scene) if is_kept(term.effect, scene) else term.effect.displacement(scene, theta)
 
 
@@ -208,7 +208,7 @@ def _sag(term: Term, scene: Scene) -> Array:
     masses are known but roughly, and balancers are not known at all.
     """
     weighs = scene.by_weight()
-    if not term.effect.parameters(weighs):
+    if not parameters_of(term.effect, weighs):
         return np.zeros((len(scene), 3))
     sag = _moved(term, weighs)
     return sag - sag[scene.reference]
@@ -218,7 +218,7 @@ def loaded(terms: Sequence[Term], scene: Scene) -> list[Term]:
     """The terms with the compliances of loaded axes: less what other terms take from them (`Parameter.takes_from`)."""
     taken: dict[str, float] = {}
     for term in terms:
-        for p in term.effect.parameters(scene):
+        for p in parameters_of(term.effect, scene):
             if p.takes_from and p.name in term.estimates:
                 taken[p.takes_from] = taken.get(p.takes_from, 0.0) + term.estimates[p.name].value
 
@@ -236,7 +236,7 @@ def elastic_response(terms: Sequence[Term], scene: Scene) -> ElasticResponse:
     u, rotation, compliance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 6))
     for term in loaded(terms, scene):
         if term.effect.elastic:
-            one = response_of(term.effect, term.theta(term.effect.parameters(scene)), scene)
+            one = response_of(term.effect, term.theta(parameters_of(term.effect, scene)), scene)
             u, rotation, compliance = u + one.displacement, rotation + one.rotation, compliance + one.compliance
     return ElasticResponse(u, rotation, compliance)
 
@@ -249,23 +249,28 @@ def prepared(terms: Sequence[Term], scene: Scene) -> Scene:
     return scene
 
 
-def displacements(terms: Sequence[Term], scene: Scene) -> dict[str, Array]:
-    """Displacement of the observed point by each term that moves it, effect id -> (n, 3), m."""
-    scene = prepared(terms, scene)
-    return {t.effect.id: displacement_of(t, scene) for t in terms if t.effect.acts_on != "wrench"}
+def displacements(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) -> dict[str, Array]:
+    """Displacement of the observed point by each term that moves it, effect id -> (n, 3), m.
+
+    Args:
+        ready: `prepared(terms, scene)`, where it is known already.
+    """
+    ready = prepared(terms, scene) if ready is None else ready
+    return {t.effect.id: displacement_of(t, ready) for t in terms if t.effect.acts_on != "wrench"}
 
 
-def total_displacement(terms: Sequence[Term], scene: Scene) -> Array:
-    """Sum over the terms, (n, 3), m."""
-    return sum(displacements(terms, scene).values(), np.zeros((len(scene), 3)))
+def total_displacement(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) -> Array:
+    """Sum over the terms, (n, 3), m. Arguments as of `displacements`."""
+    return sum(displacements(terms, scene, ready).values(), np.zeros((len(scene), 3)))
 
 
-def regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
-    """Derivative of the total displacement by the parameters of each term at their values, list of (n, 3, p)."""
-    ready = prepared(terms, scene)
+def regressors(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) -> list[Array]:
+    """Derivative of the total displacement by the parameters of each term at their values, list of (n, 3, p). Arguments as of
+    `displacements`."""
+    ready = prepared(terms, scene) if ready is None else ready
     out = []
     for i, term in enumerate(terms):
-        parameters = term.effect.parameters(scene)
+        parameters = parameters_of(term.effect, scene)
         theta = term.theta(parameters)
         if term.effect.acts_on == "wrench":
             out.append(_wrench_regressor(terms, i, scene, parameters, theta))
@@ -278,10 +283,10 @@ def regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
     for term in terms:
         if not term.effect.needs_elastic:
             continue
-        theta = term.theta(term.effect.parameters(scene))
+        theta = term.theta(parameters_of(term.effect, scene))
         for i in springs if theta.any() and type(term.effect).by_elastic is not Effect.by_elastic else ():
             if i not in change:
-                at = terms[i].theta(terms[i].effect.parameters(scene))
+                at = terms[i].theta(parameters_of(terms[i].effect, scene))
                 change[i] = by_parameters(terms[i].effect, at, ready, plain[i])
             more = term.effect.by_elastic(ready, theta, change[i])
             if more is None:
@@ -295,21 +300,32 @@ def regressors(terms: Sequence[Term], scene: Scene) -> list[Array]:
 
 def _takers(terms: Sequence[Term], springs: Sequence[int], scene: Scene) -> dict[int, list[tuple[int, int, int]]]:
     """Of each spring the parameters that take from it: number of the term, of the parameter there, of that of the spring."""
-    own = [term.effect.parameters(scene) for term in terms]
+    own = [parameters_of(term.effect, scene) for term in terms]
     takes = [(j, p, one.takes_from) for j, all_of in enumerate(own) for p, one in enumerate(all_of) if one.takes_from]
     return {i: [(j, p, c) for j, p, name in takes for c, one in enumerate(own[i]) if one.name == name] for i in springs}
 
 
 def _wrench_regressor(terms: Sequence[Term], i: int, scene: Scene, parameters: Sequence[Parameter], theta: Array) -> Array:
+    """Of an effect that changes the wrench: springs that are kept are linear in it, what other terms make of it is asked on both
+    sides of each value."""
+    moving = [t for t in terms if t.effect.acts_on != "wrench"]
+    kept = [t for t in moving if is_kept(t.effect, scene)]
+    by_wrench = sum(
+        (answer_of(t.effect, t.theta(parameters_of(t.effect, scene)), scene).by_wrench[:, :, 0] for t in kept),
+        np.zeros((len(scene), 3, 6)),
+    )
+    others = [t for t in moving if not is_kept(t.effect, scene)]
     out = np.empty((len(scene), 3, len(parameters)))
     for p, parameter in enumerate(parameters):
         h = 1e-2 * parameter.scale
-        sides = []
+        sides, wrench = [], []
         for step in (h, -h):
-            moved = theta.copy()
-            moved[p] += step
-            values = {q.name: Estimate(float(v)) for q, v in zip(parameters, moved, strict=True)}
-            changed = [*terms[:i], replace(terms[i], estimates=values), *terms[i + 1 :]]
-            sides.append(total_displacement(changed, scene))
-        out[:, :, p] = (sides[0] - sides[1]) / (2 * h)
+            shifted = theta.copy()
+            shifted[p] += step
+            values = {q.name: Estimate(float(v)) for q, v in zip(parameters, shifted, strict=True)}
+            there = prepared([*terms[:i], replace(terms[i], estimates=values), *terms[i + 1 :]], scene)
+            sides.append(sum((_moved(t, there) for t in others), np.zeros((len(scene), 3))))
+            wrench.append(np.concatenate([there.force_in_tool, there.torque_in_tool], axis=1))
+        moved = sides[0] - sides[1] + np.einsum("nik,nk->ni", by_wrench, wrench[0] - wrench[1])
+        out[:, :, p] = moved / (2 * h)
     return out

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..effects import Effect
+from ..effects import Effect, parameters_of
 from ..effects.scene import Scene
 from ..effects.state import ElasticResponse, Gravity, Rows
 from ..typing import Array
@@ -51,7 +51,7 @@ class _Kept:
 
 def is_kept(effect: Effect, scene: Scene) -> bool:
     """Whether an effect is a spring that is linear in its parameters, on a scene that is not too large to keep what it does."""
-    linear = type(effect).displacement is Effect.displacement and not any(p.grid for p in effect.parameters(scene))
+    linear = type(effect).displacement is Effect.displacement and not any(p.grid for p in parameters_of(effect, scene))
     return effect.elastic and effect.acts_on == "arm" and linear and len(scene) <= ROWS_KEPT
 
 

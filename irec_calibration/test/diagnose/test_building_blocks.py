@@ -14,7 +14,7 @@ from irec_calibration.diagnose import start_terms
 from irec_calibration.diagnose.build import laws_by_themselves
 from irec_calibration.diagnose.candidates import options, try_option
 from irec_calibration.diagnose.evidence import Ground
-from irec_calibration.diagnose.explanation import Explanation, bent_by_others, explain, implausible, without
+from irec_calibration.diagnose.explanation import Explanation, explain, implausible, own_forms, without
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.forms import forms_of
 from irec_calibration.diagnose.held_out import held_out, held_out_beside, only_good_poses
@@ -119,8 +119,10 @@ def test_two_laws_bend_one_curve_where_they_share_an_axis_and_friction_bends_non
         law("joint_hysteresis", (1, 2, 3, 4, 5, 6), r=0.03),
     )  # fmt: skip
     one = Explanation(added, found, 0.0, grow(found.bench, family_of(found), found.base))
-    assert bent_by_others(one, "joint_backlash") == bent_by_others(one, "joint_stiffening") == {3}
-    assert bent_by_others(one, "joint_hysteresis") == frozenset()
+    # the general law of axis 4 is a rival of both, since either may only mend the other's form
+    assert own_forms(one, "joint_backlash").axes == {1}
+    assert own_forms(one, "joint_stiffening").axes == {4}
+    assert own_forms(one, "joint_hysteresis").axes == {0, 1, 2, 3, 4, 5}
 
 
 def test_a_compliance_that_goes_with_its_own_angle_is_a_form_of_a_balancer_and_of_no_gear() -> None:

@@ -68,12 +68,11 @@ def test_no_evidence_makes_up_for_held_out_poses_that_get_no_better(monkeypatch:
 
 def odds_beside(
     monkeypatch: pytest.MonkeyPatch, one: Any, bare: Any, forms: Forms, remainder_of: Callable[..., object],
-    effect_id: str = "joint_backlash", bent_by_others: frozenset[int] = frozenset(),
+    effect_id: str = "joint_backlash",
 ) -> float:  # fmt: skip
     """Odds of a name of these forms, where `remainder_of` tells what structures without a name explain."""
-    monkeypatch.setattr(naming, "forms_of", lambda *_: forms)
+    monkeypatch.setattr(naming, "own_forms", lambda *_: forms)
     monkeypatch.setattr(naming, "bends", lambda *_: forms.axes)
-    monkeypatch.setattr(naming, "bent_by_others", lambda *_: bent_by_others)
     monkeypatch.setattr(naming, "remainder_of", remainder_of)
     monkeypatch.setattr(naming, "everywhere", lambda *_: False)
     monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
@@ -91,23 +90,6 @@ def held(monkeypatch: pytest.MonkeyPatch, own: float, in_place: float, left: flo
     bare: Any = SimpleNamespace(named=0.0, study=None, remainder=SimpleNamespace(gained=in_place))
     odds = odds_beside(monkeypatch, one, bare, NO_FORMS, lambda *_: SimpleNamespace(gained=in_place))
     return odds - naming.needed(one, "joint_backlash", SETTINGS)
-
-
-def test_the_general_law_of_an_axis_is_a_rival_where_another_effect_bends_its_curve_already(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    left_out: list[frozenset[int]] = []
-
-    def remainder_of(study: object, family: object, parts: object, forms: Forms = NO_FORMS) -> SimpleNamespace:
-        left_out.append(forms.axes)
-        return SimpleNamespace(gained=0.0)
-
-    rest = SimpleNamespace(gained=0.0, parts=(), bad_rows=())
-    term = SimpleNamespace(effect=SimpleNamespace(family=None, in_readings=False))
-    one: Any = SimpleNamespace(named=50.0, study=SimpleNamespace(ready=None), term=lambda _: term, remainder=rest)
-    bare: Any = SimpleNamespace(named=0.0, study=None, remainder=rest)
-    odds_beside(monkeypatch, one, bare, Forms(axes=frozenset({1, 3})), remainder_of, bent_by_others=frozenset({3}))
-    assert left_out and set(left_out) == {frozenset({1})}
 
 
 @pytest.mark.parametrize(("own", "left", "named"), [(40.0, 20.0, True), (20.0, 40.0, False)])
