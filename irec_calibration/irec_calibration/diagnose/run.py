@@ -21,11 +21,13 @@ from .build import Built, build
 from .candidates import Trial
 from .comparison import compare_observed
 from .explanation import in_one_pose
+from .family import family_of
 from .held_out import held_out, validated
 from .level import noise_left
 from .next_poses import next_measurements
 from .parts import parts_in
 from .proposals import proposals
+from .remainder import grow
 from .result import Candidate, Diagnosis, Measurement
 from .shown import Shown, shown_of
 from .study import Study, completed_study, study_of
@@ -155,7 +157,8 @@ def examine(
 
 
 def without_later_accidents(observation: Observation, built: Built) -> Observation | None:
-    """The observation without rows that are plainly wrong beside a built model and were not before; None where there are none.
+    """The observation without rows that are plainly wrong beside a built model and were not before, at the noise that is left
+    without them; None where there are none.
 
     Two load cases that were swapped, say, don't stand out of a millimetre that an effect explains later; what is weighed beside
     them rests on a fit that they bend.
@@ -169,7 +172,10 @@ def without_later_accidents(observation: Observation, built: Built) -> Observati
     keep = np.isin(observation.rows, later.rows)
     if keep.all():
         return None
-    return replace(observation.only(keep), bad=later.bad, session=later.session)
+    less = replace(observation.only(keep), bad=later.bad, session=later.session)
+    beside = study_of(less, final.study.terms)
+    family = family_of(beside)
+    return noise_left(beside, grow(beside.bench, family, beside.base), family) or less
 
 
 def _candidates(assessment: Assessment, readings: Readings | None, check: Callable[[], None]) -> tuple[Candidate, ...]:
