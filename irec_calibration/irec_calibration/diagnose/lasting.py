@@ -18,6 +18,7 @@ from .settings import SETTINGS
 from .study import Study
 
 LASTING = SETTINGS.lasting
+POSE_LEVELS = np.array([0.0, 1.0 / 3.0, 1.0, 3.0])  # multiples of `pose_m`
 
 
 def lasts(study: Study, shift: Term) -> float:
@@ -48,9 +49,26 @@ def lasts(study: Study, shift: Term) -> float:
     R = scene.kin.R_tool
     in_base = after[:, None] * d
     with_tool = after[:, None] * (R[rows] @ (R[here].T @ d))
-    ground = usually_beyond(study, rows)
-    once, stays, turns = (fitted(mean - step, ground)[0] for step in (0.0 * in_base, in_base, with_tool))
+    # the station may stand anywhere: in metres
+    ground = np.concatenate([np.tile(np.eye(3), (len(rows), 1, 1)), usually_beyond(study, rows)], axis=2)
+    again = _same_pose(session.pose[rows])
+    once, stays, turns = (_beside_poses(mean - step, ground, again) for step in (0.0 * in_base, in_base, with_tool))
     return float(stays - max(once, turns))
+
+
+def _same_pose(pose: IntArray) -> Array:
+    """A place of each pose by itself, the same in all its repeats, (rows, 3, p): what no smooth function of the joint angles has.
+
+    Repeats agree far better than such a function fits, so a pose on either side of a step tells of it by itself.
+    """
+    mine = (pose[:, None] == np.unique(pose)).astype(float)
+    return np.asarray(np.einsum("np,ij->nipj", mine, np.eye(3)).reshape(len(pose), 3, -1))
+
+
+def _beside_poses(values: Array, ground: Array, again: Array) -> float:
+    """Log evidence of readings under columns and a place of each pose, whose size is left open between none and millimetres."""
+    found = [fitted(values, np.concatenate([ground, size * again], axis=2))[0] for size in LASTING.pose_m * POSE_LEVELS]
+    return float(np.logaddexp.reduce(found) - np.log(len(found)))
 
 
 def _blocks(pose: IntArray, repeat: IntArray, stamp: Array, seen: Array) -> tuple[IntArray, Array, Array, Array]:

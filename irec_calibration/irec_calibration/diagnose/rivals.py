@@ -59,6 +59,8 @@ def rivals_of(
         whole = _without_forms(final, family, forms)
         shown = shown_by_readings(final, term.effect.id)
         sure = proved(rest, term.effect)
+        # another effect leaves that pose to a bad reading, after which nothing has the step
+        stays = lasts(final.study, term) if in_one_pose(final, term.effect.id) else 0.0
         same = []
         for other, then in others.items():
             trial = try_option(ground, by_id[other], rest.ready)
@@ -85,8 +87,9 @@ def rivals_of(
             if own < settings.nats_to_prefer or by_rival - by_none < settings.share_of_rival * (by_themselves - by_none):
                 continue  # what has no name explains it there, not this effect
             # whether a reading stands out a little is asked beside both
-            odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final)
-            raw = min(odds, by_themselves - by_rival)
+            more = 0.0 if in_one_pose(one, other) else stays
+            odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final) + more
+            raw = min(odds, by_themselves - by_rival + more)
             counts = as_they_count(raw, by_themselves - by_none, law, settings)
             # what has no name may tell them apart no better than they do themselves
             if odds < settings.nats_to_separate or counts < settings.nats_to_prefer:

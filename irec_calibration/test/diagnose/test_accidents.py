@@ -72,3 +72,12 @@ def test_a_plainly_wrong_last_reading_is_kept_where_the_readings_of_later_poses_
     assert row not in once.observation.rows and any("left out" in str(b) for b in once.observation.bad)
     assert row in lasting.observation.rows
     assert "station_shift" in diagnose(measured(5, later=True)).verdict.effects
+
+
+def test_a_station_that_is_bumped_between_a_reference_and_its_load_cases_is_named_wherever_it_stands() -> None:
+    quiet = measured()
+    reference = quiet.stamp[(quiet.pose == POSE) & (quiet.load_case == 0)].max()
+    bumped = quiet.p_marker_in_station + (quiet.stamp > reference)[:, None] * FAR + [0.03, -0.02, 0.01]
+    verdict = diagnose(replace(quiet, p_marker_in_station=bumped)).verdict
+    assert "station_shift" in verdict.effects
+    assert not any("station_shift" in several for several in verdict.one_of)

@@ -27,6 +27,7 @@ from irec_calibration.effects import find_effect
 from irec_calibration.effects.scene import Scene
 from irec_calibration.identification.validation import gain
 from irec_calibration.model import Estimate, Term
+from irec_calibration.session import Session
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -64,6 +65,15 @@ def study(hidden: Callable[[Scene], Array] | None = None) -> Study:
     return prepare(measured, start_terms(measured)).to_weigh
 
 
+ROUGHLY_PLACED = (station_is_bumped, reference_is_knocked)
+
+
+def prepared_from(measured: Session, beside: Array) -> Study:
+    """A session whose marker is read elsewhere, (3,) or (n, 3), m in the station's frame."""
+    read = replace(measured, p_marker_in_station=measured.p_marker_in_station + beside)
+    return prepare(read, start_terms(read)).to_weigh
+
+
 def shift(size: Array) -> Term:
     values = dict(zip(("d_x", "d_y", "d_z"), size, strict=True)) | {"t_shift": MOMENT}
     return Term(find_effect("station_shift"), {n: Estimate(float(v)) for n, v in values.items()})
@@ -71,6 +81,23 @@ def shift(size: Array) -> Term:
 
 def test_a_bumped_station_shows_in_all_later_readings() -> None:
     assert lasts(study(station_is_bumped), shift(STEP)) > 6.5
+
+
+def test_wherever_the_station_stands_a_bump_shows_in_later_readings_and_a_knocked_reference_in_none() -> None:
+    elsewhere = np.array([0.03, -0.02, 0.01])
+    bumped, knocked = (prepared_from(synthetic.session(poses=20, seed=5, extra=e), elsewhere) for e in ROUGHLY_PLACED)
+    assert lasts(bumped, shift(STEP)) > 6.5
+    assert lasts(knocked, shift(STEP)) < 0.0
+
+
+def test_poses_that_were_measured_twice_tell_of_a_step_where_robots_are_less_accurate_than_it_is_large() -> None:
+    """Every pose is a millimetre beside where the controller believes it, the same each time."""
+    q = np.random.default_rng(11).uniform(*synthetic.JOINTS, (12, 6))
+    drawn = synthetic.session(poses=24, seed=5, extra=station_is_bumped, q_of_poses=np.concatenate([q, q]))
+    beside = np.random.default_rng(3).normal(0.0, 1e-3, (12, 3))[(drawn.pose - 1) % 12]
+    twice = replace(drawn, pose=(drawn.pose - 1) % 12 + 1, repeat=(drawn.pose - 1) // 12)
+    assert lasts(prepared_from(twice, beside), shift(STEP)) > 6.5
+    assert lasts(prepared_from(drawn, beside), shift(STEP)) < 6.5
 
 
 @pytest.mark.parametrize("accident", [reference_is_knocked, reflector_is_seated_anew])
