@@ -36,11 +36,14 @@ class Readings:
     Attributes:
         rows: of the session, one for each reference; values: (rows, 3), m.
         ground: what robots and stations usually leave, columns in standard deviations, (rows, 3, p), m.
+        prove: whether they may show an effect; beside one of which they know some combinations only (a geometry error that
+            differences show, of centimetres) they may but be against it.
     """
 
     rows: IntArray
     values: Array
     ground: Array
+    prove: bool = True
 
     @cached_property
     def log_evidence(self) -> float:
@@ -59,7 +62,7 @@ def readings_of(study: Study, effect: Effect) -> Readings | None:
     rows = rows[np.isfinite(seen[rows]).all(axis=1)]
     if len(np.unique(session.pose[rows])) < 2 * LASTING.fewest:
         return None
-    values, left_open = seen[rows], []
+    values, left_open, prove = seen[rows], [], True
     for other in study.terms:
         if other.effect.id == effect.id:
             continue
@@ -67,8 +70,11 @@ def readings_of(study: Study, effect: Effect) -> Readings | None:
             values = values - displacement_of(other, scene)[rows]
         if _in_course(other.effect):
             left_open.append(_within_errors(other, study)[rows])
+        elif other.effect.in_readings and other.effect.chosen_by_poses:
+            left_open.append(_any_of_this_order(study, other.effect, other.theta(other.effect.parameters(study.ready)), rows))
+            prove = False
     ground = [_placed(scene.station[rows]), usually_beyond(study, rows), *left_open]
-    return Readings(rows, values, np.concatenate(ground, axis=2))
+    return Readings(rows, values, np.concatenate(ground, axis=2), prove)
 
 
 def _in_course(effect: Effect) -> bool:
@@ -114,7 +120,7 @@ def carried(study: Study, term: Term) -> float:
     odds = with_it - known.log_evidence
     # something else moves the readings, where that would be far from the value that differences show
     elsewhere = np.abs(x[known.ground.shape[2] :]).max(initial=0.0) > LASTING.farthest
-    return min(odds, 0.0) if elsewhere else odds
+    return min(odds, 0.0) if elsewhere or not known.prove else odds
 
 
 def _weighed(study: Study, term: Term) -> float:
@@ -149,13 +155,20 @@ def _of_this_order(study: Study, effect: Effect, known: Readings, theta: Array) 
 
     For an effect of whose many values differences and readings each know some combinations only.
     """
-    scale = np.array([p.scale for p in effect.parameters(study.ready)])
-    size = np.sqrt(np.mean((theta / scale)[theta != 0.0] ** 2)) if theta.any() else 1.0
-    own = effect.regressor(study.ready, np.zeros(len(theta)))[known.rows] * (scale * size)
+    own = _any_of_this_order(study, effect, theta, known.rows)
     present = {t.effect.id for t in study.terms}
     others = [e for e in known_effects().values() if e.in_readings and e.id not in present and not study.why_not(e)]
     best = max([by_readings(study, e)[0] for e in others], default=0.0)
     return fitted(known.values, np.concatenate([known.ground, own], axis=2))[0] - known.log_evidence - max(best, 0.0)
+
+
+def _any_of_this_order(study: Study, effect: Effect, theta: Array, rows: IntArray) -> Array:
+    """What an effect with any values of the order of theta, (p,), moves in some rows, columns in standard deviations,
+    (rows, 3, p), m."""
+    scale = np.array([p.scale for p in effect.parameters(study.ready)])
+    size = np.sqrt(np.mean((theta / scale)[theta != 0.0] ** 2)) if theta.any() else 1.0
+    moved: Array = effect.regressor(study.ready, np.zeros(len(theta)))[rows] * (scale * size)
+    return moved
 
 
 def by_readings(study: Study, effect: Effect) -> tuple[float, Array]:
@@ -168,7 +181,8 @@ def by_readings(study: Study, effect: Effect) -> tuple[float, Array]:
     scale = WIDEST * np.array([p.scale * p.prior_width for p in parameters])
     own = effect.regressor(study.ready, np.zeros(len(parameters)))[known.rows] * scale
     with_it, x = fitted(known.values, np.concatenate([known.ground, own], axis=2))
-    return with_it - known.log_evidence, x[known.ground.shape[2] :] * scale
+    odds = with_it - known.log_evidence
+    return odds if known.prove else min(odds, 0.0), x[known.ground.shape[2] :] * scale
 
 
 def along_readings(study: Study, effect: Effect) -> float:

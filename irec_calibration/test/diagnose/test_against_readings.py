@@ -108,6 +108,25 @@ def test_readings_prove_a_scale_whatever_value_a_fit_gives_it(hidden: object, th
     assert proved(study, find_effect("tracker_scale")) == there
 
 
+def links_a_centimetre_off(scene: Scene) -> Array:
+    effect = find_effect("geometry_error")
+    lengths = [p.scale * (20.0 if p.name[0] in "xyz" else 5.0) for p in effect.parameters(scene)]
+    return effect.displacement(scene, np.array(lengths) * np.random.default_rng(2).normal(size=len(lengths)))
+
+
+def test_beside_a_geometry_error_of_centimetres_readings_prove_no_scale_but_may_be_against_it() -> None:
+    found = plain(synthetic.session(poses=20, seed=5, extra=links_a_centimetre_off))
+    wrong, huge = scale_of(-0.015, 0.007), scale_of(0.3, 0.01)
+    known = readings_of(found, wrong.effect)
+    assert known is not None and known.prove
+    with_geometry = study_of(found.observation, (*found.terms, Term(find_effect("geometry_error"))))
+    known = readings_of(with_geometry, wrong.effect)
+    assert known is not None and not known.prove
+    assert not proved(with_geometry, wrong.effect)
+    assert carried(with_geometry, wrong) <= 0.0
+    assert "readings at the references" in against(with_geometry, huge)
+
+
 def test_a_name_that_readings_contradict_does_not_stand_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     start_study = plain(synthetic.session(poses=20, seed=5, extra=long_lengths))
     family = family_of(start_study)
