@@ -9,6 +9,7 @@ from math import isfinite, log
 
 from ..effects import Axes, Evidence
 from ..model import Term
+from ..model.springs import ROWS_KEPT
 from .candidates import Trial, supported
 from .family import Family
 from .forms import NO_FORMS, Forms, bends, forms_of, steps
@@ -30,13 +31,14 @@ class Explanation:
         added: the terms added to the start, in order.
         named: log evidence of the added terms alone, relative to the start alone.
         log_evidence: the same together with the remainder.
+        less: the same without one of the added terms, as far as it was asked for (`without`).
     """
 
     added: tuple[Term, ...]
     study: Study
     named: float
     remainder: Remainder
-    _less: dict[str, Explanation] = field(default_factory=dict, init=False, repr=False, compare=False)
+    less: dict[str, Explanation] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -92,19 +94,25 @@ def remainder_of(study: Study, family: Family, known: Sequence[Part], forms: For
 
 
 def _grown(study: Study, family: Family, known: Sequence[Part], forms: Forms) -> Remainder:
-    """As `grow`; the same is asked of a model several times, and kept with it."""
+    """As `grow`; the same is asked of a model several times, and kept with it where the session is not too large for that."""
     structures = tuple(p.structure for p in known)
     key = (id(family), forms, *map(id, structures))
-    if key not in study.kept:  # what ids stand for is kept alive with it
-        study.kept[key] = (family, structures), grow(study.bench, family, study.base, known, without=forms.has if forms else None)
-    return study.kept[key][1]
+    if key in study.kept:
+        return study.kept[key][1]
+    grown = grow(study.bench, family, study.base, known, without=forms.has if forms else None)
+    if len(study.ready) <= ROWS_KEPT:
+        study.kept[key] = (family, structures), grown  # what the ids stand for is kept alive with it
+    return grown
 
 
 def without(start: Explanation, one: Explanation, effect_id: str, family: Family) -> Explanation:
     """A model without one of its added effects, refitted, with a remainder that may take its place."""
-    if effect_id not in one._less:
-        one._less[effect_id] = _without(start, one, effect_id, family)
-    return one._less[effect_id]
+    if effect_id in one.less:
+        return one.less[effect_id]
+    bare = _without(start, one, effect_id, family)
+    if len(one.study.ready) <= ROWS_KEPT:
+        one.less[effect_id] = bare
+    return bare
 
 
 def _without(start: Explanation, one: Explanation, effect_id: str, family: Family) -> Explanation:

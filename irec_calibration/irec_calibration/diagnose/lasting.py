@@ -66,8 +66,12 @@ def _same_pose(pose: IntArray) -> Array:
 
 
 def _beside_poses(values: Array, ground: Array, again: Array) -> float:
-    """Log evidence of readings under columns and a place of each pose, whose size is left open between none and millimetres."""
-    found = [fitted(values, np.concatenate([ground, size * again], axis=2))[0] for size in LASTING.pose_m * POSE_LEVELS]
+    """Log evidence of readings under columns and a place of each pose, whose size is left open between none and millimetres.
+
+    Where nothing was measured twice such a place is scatter, which is left open anyway.
+    """
+    levels = POSE_LEVELS if again.shape[2] < 3 * len(values) else POSE_LEVELS[:1]
+    found = [fitted(values, np.concatenate([ground, size * again], axis=2))[0] for size in LASTING.pose_m * levels]
     return float(np.logaddexp.reduce(found) - np.log(len(found)))
 
 

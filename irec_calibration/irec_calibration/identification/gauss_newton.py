@@ -57,7 +57,7 @@ def fitted(
         if not np.isfinite(loss):
             loss = _loss(moved, observation, now, prior_width)
         step = solve(system, prior_width=prior_width) - now
-        if _promised(system, now, step, prior_width) <= settled * loss and _in_bounds(now, system):
+        if np.isfinite(loss) and _in_bounds(now, system) and _promised(system, now, step, prior_width) <= settled * loss:
             return terms, True
         taken = 1.0
         for _ in range(HALVINGS):
