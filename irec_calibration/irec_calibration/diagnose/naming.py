@@ -93,6 +93,7 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
             return max(rest.gained, bare.remainder.gained), one.remainder.gained
         return rest.gained, remainder_of(one.study, family, one.remainder.parts, forms).gained
 
+    forms, with_steps = replace(forms, steps=frozenset()), forms
     own = one.named - bare.named
     law = one.term(effect_id).effect.family is Alike.TORQUE_LAW
     in_place, left = beside(replace(forms, tilts=law))
@@ -117,6 +118,8 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
         odds = min(odds - settings.nats_to_name, own + more - instead + told)
     if in_one_pose(one, effect_id):  # differences don't tell it from a bad pose, the readings of later poses may
         odds += lasts(one.study, one.term(effect_id))
+    if with_steps.steps:  # settling and friction are exact members of that curve, which loses nothing where it stands for them
+        in_place, left = beside(with_steps)
     odds -= settings.share_of_form * max(in_place - left, 0.0)
     if in_one_pose(one, effect_id):
         return odds
