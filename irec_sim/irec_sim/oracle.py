@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What somebody could do with a session who knows which causes there are, but not how large they are.
 
-The oracle fits the true structure (the plant's own compliances and the parameters of the hidden effects, with the plant's own
-laws) to the noisy rows of the session, by one step of weighted least squares from the true values; rows that a mishap spoiled
-are left out. It is judged on noise-free rows at other poses. The same without one effect tells whether that effect is
-visible at all. Nothing of the analysis is used.
+The oracle fits the true structure (the plant's own compliances, where its springs sit, and the parameters of the hidden effects,
+with the plant's own laws) to the noisy rows of the session, by one step of weighted least squares from the true values; rows
+that a mishap spoiled are left out. Where springs sit is no cause that anybody could be told: of that it knows no more than that
+it is some centimetres about the joints' origins. It is judged on noise-free rows at other poses. The same without one effect
+tells whether that effect is visible at all. Nothing of the analysis is used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,6 +27,7 @@ NATS_VISIBLE = 12.0  # log odds that a name needs (6.5) after choosing among som
 _FIXED = {"station_shift": ("share", "time", "station"), "thermal_drift": ("kind",)}
 _COMPLIANCE_WIDTH = 1.0  # of the weak prior on each compliance, relative
 _EFFECT_WIDTH = 3.0  # on each parameter of an effect, times the RMS of its group
+_PLACE_WIDTH = 0.03  # m, of the prior on each coordinate of where springs sit, about the joint's origin
 
 
 @dataclass(frozen=True)
@@ -150,30 +152,46 @@ def _of_compliances(truth: Truth, session: _Half, validation: _Half) -> _Columns
     )
 
 
+def _of_places(truth: Truth, session: _Half, validation: _Half) -> tuple[_Columns, Array]:
+    """Of where the springs across the joints sit, and the coordinates in widths of their prior; none where all sit at origins."""
+    at = truth.centre / _PLACE_WIDTH
+    if not at.any():
+        return _Columns([], [], []), np.zeros(0)
+    moved = []
+    for k, axis in np.argwhere(np.isfinite(at)):
+        centre = truth.centre.copy()
+        centre[k, axis] += STEP * _PLACE_WIDTH
+        moved.append(replace(truth, centre=centre))
+    return _by_differences(truth, moved, session, validation), at.ravel()
+
+
 def _of_effects(truth: Truth, session: _Half, validation: _Half) -> dict[str, _Columns]:
     """Of the parameters of each hidden effect, by differences about the truth."""
+    return {h.effect: _by_differences(truth, _nudged(truth, h), session, validation) for h in truth.hidden if not h.background}
+
+
+def _by_differences(truth: Truth, changed: Iterable[Truth], session: _Half, validation: _Half) -> _Columns:
+    """From truths of which each has one number changed by STEP of its prior's width."""
     physics = truth.physics()
     seen, _ = _evaluate(session, physics)
     check, tcp = _evaluate(validation, physics)
-    out = {}
-    for h in truth.hidden:
-        if h.background:
-            continue
-        columns = out[h.effect] = _Columns([], [], [])
-        for changed in _nudged(truth, h):
-            a, _ = _evaluate(session, changed.physics())
-            b, c = _evaluate(validation, changed.physics())
-            columns.seen.append(_white(session, [x - y for x, y in zip(a, seen)]).ravel() / STEP)
-            columns.check.append([(x - y) / STEP for x, y in zip(b, check)])
-            columns.tcp.append([(x - y) / STEP for x, y in zip(c, tcp)])
-    return out
+    columns = _Columns([], [], [])
+    for other in changed:
+        a, _ = _evaluate(session, other.physics())
+        b, c = _evaluate(validation, other.physics())
+        columns.seen.append(_white(session, [x - y for x, y in zip(a, seen)]).ravel() / STEP)
+        columns.check.append([(x - y) / STEP for x, y in zip(b, check)])
+        columns.tcp.append([(x - y) / STEP for x, y in zip(c, tcp)])
+    return columns
 
 
-def _fitted(truth: Truth, columns: dict[str, _Columns], session: _Half, validation: _Half) -> tuple[float, float]:
+def _fitted(
+    truth: Truth, places: tuple[_Columns, Array], columns: dict[str, _Columns], session: _Half, validation: _Half
+) -> tuple[float, float]:
     """Fit the structure of a truth.
 
     Args:
-        columns: of the parameters of effects.
+        places: of where springs sit, with the true coordinates in widths of their prior; columns: of the parameters of effects.
 
     Returns:
         validation error of the TCP, m, and mean square error of the noise-free marker there in standard deviations.
@@ -182,12 +200,14 @@ def _fitted(truth: Truth, columns: dict[str, _Columns], session: _Half, validati
     seen, _ = _evaluate(session, physics)
     check, tcp = _evaluate(validation, physics)
     free = _of_compliances(truth, session, validation)
+    known = np.r_[np.zeros(len(free.seen)), -places[1]]
+    free = free + places[0]
     for h in truth.hidden:
         if not h.background:
             free = free + columns[h.effect]
     residual = _white(session, [x - y for x, y in zip(session.seen, seen)]).ravel()
     J = np.vstack([np.column_stack(free.seen), np.eye(len(free.seen))])
-    delta = np.linalg.lstsq(J, np.r_[residual, np.zeros(len(free.seen))], rcond=None)[0]
+    delta = np.linalg.lstsq(J, np.r_[residual, known, np.zeros(len(free.seen) - len(known))], rcond=None)[0]
 
     def after(parts: list[Array], derivative: list[list[Array]]) -> list[Array]:
         return [p + sum(d * column[i] for d, column in zip(delta, derivative)) for i, p in enumerate(parts)]
@@ -201,16 +221,16 @@ def _fitted(truth: Truth, columns: dict[str, _Columns], session: _Half, validati
 def consult(made: Generated, validation: Generated, truth: Truth) -> Oracle:
     """Ask the oracle about a session and its validation session: the same robot at other poses, without mishaps."""
     session, check = _half(made, truth), _half(validation, truth)
-    columns = _of_effects(truth, session, check)
+    places, columns = _of_places(truth, session, check), _of_effects(truth, session, check)
     samples = 3 * sum(r.distance.shape[0] * (r.distance.shape[1] - 1) for r in made.rows)
-    error, mean_square = _fitted(truth, columns, session, check)
+    error, mean_square = _fitted(truth, places, columns, session, check)
     asked = [h.effect for h in truth.hidden]
     if not asked:
         return Oracle(error, error, ())
-    base, _ = _fitted(truth.without(*(h.effect for h in truth.hidden if not h.background)), columns, session, check)
+    base, _ = _fitted(truth.without(*(h.effect for h in truth.hidden if not h.background)), places, columns, session, check)
     seen = []
     for effect in asked:
-        _, without = _fitted(truth.without(effect), columns, session, check)
+        _, without = _fitted(truth.without(effect), places, columns, session, check)
         nats = 0.5 * samples * (without - mean_square)
         seen.append(Seen(effect, float(nats), bool(nats > NATS_VISIBLE)))
     return Oracle(base, error, tuple(seen))

@@ -158,4 +158,4 @@ def since_reference(x: Array, axis: int = 1) -> Array:
 def _geometry(physics: Physics) -> bytes:
     plant = physics.plant
     ends = (plant.hose.attach, plant.hose.anchor) if plant.hose is not None else ()
-    return b"".join(np.asarray(x).tobytes() for x in (plant.joint_zero, plant.p_error, plant.turn_error, *ends))
+    return b"".join(np.asarray(x).tobytes() for x in (plant.joint_zero, plant.p_error, plant.turn_error, plant.centre, *ends))

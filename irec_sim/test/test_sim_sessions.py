@@ -401,6 +401,26 @@ def test_the_oracles_replay_of_the_truth_is_what_the_plant_did():
     assert np.abs(tcp - made.rows[0].deflection).max() < 2e-7
 
 
+def test_a_replay_with_springs_at_other_places_is_what_such_a_plant_does():
+    truth = make_truth("afp", [], 5, off_centre=0.03)
+    other = replace(truth, centre=truth.centre + 0.01)
+    made, moved = (generate(AFP, t, 6, seed=2) for t in (truth, other))
+    replay = Replay(made, 0, truth.physics(), made.rows[0].force_reading)
+    change = replay(other.physics())[1] - replay(truth.physics())[1]
+    truly = moved.rows[0].deflection - made.rows[0].deflection
+    assert np.abs(truly).max() > 2e-6
+    assert np.abs(change - truly).max() < 0.05 * np.abs(truly).max()
+
+
+def test_the_oracle_has_to_find_where_springs_sit():
+    at_origins = make_truth("milling", [], 5)
+    anywhere = replace(at_origins, centre=at_origins.centre + 1e-9)  # the same plant, but nobody says so
+    known, sought = (
+        consult(generate(MILLING, t, 15, seed=1), generate(MILLING, t, 10, seed=2), t).oracle_m for t in (at_origins, anywhere)
+    )
+    assert sought > 1.02 * known
+
+
 def test_the_true_force_is_read_back_from_the_reading():
     physics = make_truth("afp", ["sensor_gain", "sensor_alignment", "tool_weight"], 5).physics()
     rng = np.random.default_rng(0)
