@@ -93,6 +93,10 @@ class Settings(Thresholds):
         4.0, "nats", "evidence that a name needs over nonparametric structures in its place",
         "odds of 50, against the best of some 500 whose number is taken off; that something is there is asked before",
     )  # fmt: skip
+    nats_to_stand_in: float = threshold(
+        2.3, "nats", "evidence that an effect needs to be part of an improved model without a name, where no structure is left",
+        "odds of 10: likelier there than not, even if before the session it was as rare as one in eleven",
+    )  # fmt: skip
     nats_in_one_pose: float = threshold(
         20.0, "nats", "evidence that a name needs which shows in the differences of one pose of a loaded session only",
         "a bad pose is far more common than a bumped station; the absolute readings of later poses count with it",

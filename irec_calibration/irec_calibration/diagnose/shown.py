@@ -60,7 +60,7 @@ def shown_of(session: Session, asked: Validated, assessment: Assessment, check: 
         session: as it was read; asked: the model that was asked about; check: raises where the work was cancelled.
     """
     shown = _named(session, asked, assessment, check)
-    if not assessment.evidence:
+    if assessment.status == "adequate":
         return shown
     return replace(shown, stand_ins=stand_ins(session, assessment.built, shown.after, check))
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An effect that predicts other poses although it can't be named: structure that has no name explains the session as well.
+"""An effect that predicts other poses although it can't be named: structure that has no name explains the session as well, or
+its evidence is too small for a name.
 
 Somebody looks for a cause by its name, and a wrong one costs; a correction only needs to predict. So such an effect is part of
 an improved model, said to stand in for what has no name. What predictions leave out can't stand in: it would only take from the
@@ -43,9 +44,11 @@ def stand_ins(
 ) -> tuple[StandIn, ...]:
     """The effects that stand in for what has no name, one on top of the other, each with the model that has it.
 
-    Each needs of its own what a name does: evidence over its absence, values that can be, and an error that falls on held-out
-    poses. Only that nothing without a name explains as much is not asked. In loaded sessions; absolute ones have more that is
-    neither named nor known to move the tool.
+    Where structure is left, each needs of its own what a name does: evidence over its absence, values that can be, and an error
+    that falls on held-out poses. Only that nothing without a name explains as much is not asked. Where none is left, evidence is
+    what it says, and an effect is taken in that is likelier there than not: of all sets of effects that one predicts best
+    (median probability model, Barbieri and Berger 2004). In loaded sessions; absolute ones have more that is neither named nor
+    known to move the tool.
 
     Args:
         after: the model without them, as people are shown it; check: raises where the work was cancelled.
@@ -58,7 +61,7 @@ def stand_ins(
         return ()
     current = built.final
     tried: Sequence[Explanation] = built.refused
-    while current.remainder.structures and len(current.added) < settings.most_names:
+    while len(current.added) < settings.most_names:
         tried = tried or step(built.start, current, built.possible, built.family, None, check, settings)
         found = _best(tried, current, out[-1].model if out else after, session, check, settings)
         if found is None:
@@ -74,7 +77,8 @@ def _best(
     settings: Settings,
 ) -> tuple[Explanation, StandIn] | None:  # fmt: skip
     """The effect with the most evidence of its own of which only the name is in doubt, if it helps on held-out poses."""
-    could = [e for e in tried if _may(e, settings) and e.named - current.named >= needed(e, e.ids[-1], settings)]
+    sigmas = settings.held_out_sigmas if current.remainder.structures else 0.0
+    could = [e for e in tried if _may(e) and e.named - current.named >= _least(current, e, settings)]
     for one in sorted(could, key=lambda e: -e.named):
         check()
         effect_id = one.ids[-1]
@@ -82,12 +86,17 @@ def _best(
         made = validated(session, (*before.study.terms, Term(term.effect, term.estimates)))
         mean, se, _ = gain(before.held_out, held_out_beside(before.study, made.study))
         confirmed = made.study.fit.rms < before.study.fit.rms  # a fit need not reach what the linear problem promises
-        if confirmed and np.isfinite(mean) and mean > settings.held_out_sigmas * se:
+        if confirmed and np.isfinite(mean) and mean > sigmas * se:
             return one, StandIn(effect_id, one.named - current.named, made)
     return None
 
 
-def _may(one: Explanation, settings: Settings) -> bool:
+def _least(current: Explanation, one: Explanation, settings: Settings) -> float:
+    """Evidence that an effect needs of its own on top of a model."""
+    return needed(one, one.ids[-1], settings) if current.remainder.structures else settings.nats_to_stand_in
+
+
+def _may(one: Explanation) -> bool:
     """Whether predictions have an effect, at values that can be, and more than one pose shows it."""
     effect_id = one.ids[-1]
     if not is_predicted(find_effect(effect_id).cause, one.study.session.kind):

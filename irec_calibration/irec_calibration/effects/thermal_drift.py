@@ -27,7 +27,9 @@ class ThermalDrift(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         out = [Parameter(f"v_{a}", "m/s", 1e-6, plausible=(-1e-4, 1e-4), group="time") for a in AXES]
         for name in usable_temperatures(scene):
-            out += [Parameter(f"k_{name}_{a}", "m/K", 1e-5, plausible=(-1e-3, 1e-3), group=f"temp_{name}") for a in AXES]
+            # a thermometer may go through a small part of what the drifting part does: then the drift has a limit, not the value
+            most = max(LARGEST_PER_KELVIN, LARGEST / max(float(np.ptp(scene.temperature[name])), 1e-3))
+            out += [Parameter(f"k_{name}_{a}", "m/K", STEEL, plausible=(-most, most), group=f"temp_{name}") for a in AXES]
         return (*out, Parameter("T", "s", 1000.0, 10.0, 1e6, start=STEADY, grid=(300.0, 1000.0, 3000.0, STEADY)))
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
@@ -44,6 +46,9 @@ class ThermalDrift(Effect):
         return np.concatenate([d[:, None, None] * np.eye(3) for d in drivers], axis=2)
 
 
+STEEL = 3e-5  # m/K, an arm of steel of 2.5 m
+LARGEST_PER_KELVIN = 1e-3  # m/K
+LARGEST = 2e-3  # m over a session; arms that warm up drift by 0.1 to 0.5 mm
 STEADY = 1e5  # s; a warm-up this slow is a steady drift
 REFERENCE_TEMPERATURE = 20.0  # degC, ISO 1
 

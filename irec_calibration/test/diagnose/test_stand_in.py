@@ -16,7 +16,7 @@ from irec_calibration.identification.observe import observe
 from irec_calibration.model import Model
 from irec_calibration.session import Session
 from irec_calibration.typing import Array
-from test_diagnose import play_in_the_bearing_of_axis_5, session
+from test_diagnose import play_in_the_bearing_of_axis_5, play_of_axis_4, session
 
 
 @pytest.fixture(scope="module")
@@ -85,3 +85,24 @@ def test_different_gains_of_a_force_sensor_are_named_all_the_same():
     crosstalk = np.array([[0.02, 0.03, -0.04], [0.01, 0.02, 0.05], [0.03, -0.02, -0.04]])
     read = clean.force_in_tool @ np.linalg.inv(np.eye(3) + crosstalk).T
     assert improve(replace(clean, force_in_tool=read)).before.verdict.effects == ("sensor_gain",)
+
+
+def on_a_soft_pedestal(scene: Scene) -> Array:
+    """The marker's displacement where the base tilts by 15 nrad/(N m) about both of its horizontal axes."""
+    moment = np.cross(scene.p_observed, scene.force) * np.array([1.0, 1.0, 0.0])
+    return np.cross(1.5e-8 * moment, scene.p_observed)
+
+
+def test_an_effect_that_is_likelier_there_than_not_predicts_without_being_named():
+    found = improve(session(lambda scene: play_of_axis_4(scene) + on_a_soft_pedestal(scene), seed=6))
+    assert found.before.verdict.effects == ("joint_backlash",)
+    last = found.rungs[-1]
+    assert (last.added, last.named) == ("base_compliance", False)
+    assert 2.3 <= last.log_evidence < 6.5
+    assert last.cv_rms_m < found.rungs[-2].cv_rms_m
+
+
+def test_nothing_stands_in_where_nothing_is_missing():
+    found = improve(session(on_a_soft_pedestal, seed=6))
+    assert found.before.verdict.status == "adequate"
+    assert [r.added for r in found.rungs if r.added not in ("", "bending_place")] == []

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A thermometer may go through a small part of what the drifting part does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from irec_calibration.diagnose import diagnose
+from irec_calibration.session import Session
+from test_diagnose import session
+
+
+def drifting(m_per_kelvin: float) -> Session:
+    """A session whose air temperature goes to and fro by 0.6 K, with a marker that drifts along with it."""
+    still = session()
+    along = np.linspace(0.0, 1.0, still.stamp.size)
+    warmer = 0.3 * np.sqrt(along) * np.sin(0.9 * np.arange(still.stamp.size))
+    drift = m_per_kelvin * warmer[:, None] * np.array([0.2, 1.0, 0.3])
+    return replace(still, p_marker_in_station=still.p_marker_in_station + drift, temperature={"air": 20.0 + warmer})
+
+
+@pytest.mark.parametrize("m_per_kelvin", [2e-4, 3e-3])
+def test_a_drift_with_a_thermometer_is_named_whatever_it_is_per_kelvin(m_per_kelvin: float) -> None:
+    verdict = diagnose(drifting(m_per_kelvin)).verdict
+    assert (verdict.effects, verdict.parts["thermal_drift"].proven) == (("thermal_drift",), ("temp_air",))
+
+
+def test_a_drift_by_more_than_robots_warm_up_is_not_named() -> None:
+    verdict = diagnose(drifting(8e-3)).verdict
+    assert (verdict.status, verdict.effects) == ("unexplained", ())
+    assert verdict.depends_on == ("temp_air",)
