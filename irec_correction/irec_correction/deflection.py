@@ -22,6 +22,7 @@ from irec_calibration.effects.live import (
     SensorMap,
     Springs,
     Tick,
+    drives,
 )
 from irec_calibration.effects.production import LOADED, POINTS, production_scene
 from irec_calibration.effects.scene import Scene
@@ -111,6 +112,7 @@ class Deflection:
         self._sensor = sensor
         self._weight = _Weight(robot, self._gravity, payload) if any(law.needs_gravity for law in laws) else None
         self._tick = Tick(robot.n_joints)
+        self._tick.drives = np.array([chain.index[c] for c in drives(robot.n_joints)])
         self._wrench_at_base = np.zeros(6)
         self.reset()
 
@@ -162,6 +164,7 @@ class Deflection:
         dq = self._answer(tau)
         if self._follow or self._pulls or (self._user is not None and self._user.needs_elastic):
             elastic = dq.copy()
+            tick.tau = tau[tick.drives]
             for form in self._follow:
                 dq += form.displacement(tick, elastic, self._at_tcp(J @ elastic)[0])
             for pull, columns in self._pulls:

@@ -122,6 +122,21 @@ def test_creep_approaches_its_share_of_the_elastic_deflection():
     np.testing.assert_allclose(u, elastic * (1 + 0.2 * (1 - np.exp(-1.0))), rtol=1e-9)
 
 
+def test_a_gear_that_creeps_more_than_the_others_goes_on_by_its_own_compliance():
+    torsion = model_of("joint_torsion").terms
+    same = {"share": Estimate(0.2), "T": Estimate(2.0), "memory": Estimate(1.0)}
+    more = same | {"d_3": Estimate(4e-8), "apart": Estimate(1.0)}
+    q, force = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3]), np.array([100.0, -50.0, -900.0])
+
+    def after_two_seconds(*terms: Term) -> np.ndarray:
+        deflection = Deflection(Model(terms), ROBOT)
+        return [deflection(q, force, np.zeros(3), 0.1)[0] for _ in range(20)][-1]
+
+    by_axis_3 = after_two_seconds(Term(find_effect("joint_torsion"), {"c_3": Estimate(4e-8)}))
+    creeps = [after_two_seconds(*torsion, Term(find_effect("creep"), values)) for values in (same, more)]
+    np.testing.assert_allclose(creeps[1] - creeps[0], by_axis_3 * (1 - np.exp(-1.0)), rtol=1e-9)
+
+
 def test_deflection_is_evaluated_at_the_force_that_acts_not_at_the_one_that_is_read():
     terms = model_of("joint_torsion", "link_bending").terms
     turned = Term(find_effect("sensor_alignment"), {"w_z": Estimate(np.pi / 2)})

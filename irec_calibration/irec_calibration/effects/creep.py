@@ -10,6 +10,7 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import ElasticLaw, LiveForm, Tick
+from .scales import typical_compliance
 from .scene import Scene
 from .state import ElasticResponse
 from .traits import Family
@@ -26,7 +27,8 @@ class Creep(Effect):
         "Gears, tool or rubber go on yielding under a load that stays: a share of the elastic deflection times 1 - "
         "exp(-t/T), t since the load was applied; with memory 1 what was reached under the load before is kept "
         "(Kelvin-Voigt), with 0 another load begins anew. With spread 0 there is one time constant T, else three about it "
-        "(generalised Kelvin-Voigt). Missing, the residual grows with the dwell under load."
+        "(generalised Kelvin-Voigt). With apart 1 gears differ: the one of axis k creeps by a compliance d_k beside that share. "
+        "Missing, the residual grows with the dwell under load."
     )
     family = Family.TIME
     needs = ("time", "load")
@@ -35,31 +37,41 @@ class Creep(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         shortest = _shortest_seen(scene)
         grid = tuple(T for T in (1.0, 4.0, 15.0, 60.0) if T >= shortest)
+        soft = typical_compliance(scene.robot)
+        gears = tuple(
+            Parameter(f"d_{k + 1}", "rad/(N m)", 0.1 * soft[k], plausible=(-5.0 * soft[k], 5.0 * soft[k]), axis=int(k))
+            for k in np.flatnonzero(scene.driven)
+        )
         return (
             Parameter("share", "1", 0.1, lower=0.0, plausible=(0.0, 1.0)),
             Parameter("T", "s", 10.0, min(shortest, 10.0), 1e5, start=10.0, grid=grid or (10.0,)),
             Parameter("memory", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0)),
             Parameter("spread", "1", 1.0, 0.0, 2.0, start=0.0, grid=(0.0, 1.0)),
+            *gears,
+            Parameter("apart", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0)),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        return theta[0] * self._shape(scene, *theta[1:])
+        return self._columns(scene, theta) @ _linear(theta)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        share, T, memory, spread = theta
-        h = 0.01 * T
-        by_T = share * (self._shape(scene, T + h, memory, spread) - self._shape(scene, T - h, memory, spread)) / (2 * h)
-        none = np.zeros((len(scene), 3))
-        return np.stack([self._shape(scene, T, memory, spread), by_T, none, none], axis=2)
+        columns, of_gears = self._columns(scene, theta), slice(4, len(theta) - 1)
+        h = 0.01 * theta[1] * np.eye(len(theta))[1]
+        out = np.zeros((len(scene), 3, len(theta)))
+        out[:, :, 0], out[:, :, of_gears] = columns[:, :, 0], columns[:, :, 1:]
+        out[:, :, 1] = (self._columns(scene, theta + h) - self._columns(scene, theta - h)) @ _linear(theta) / (2.0 * h[1])
+        return out
 
-    def _shape(self, scene: Scene, T: float, memory: float, spread: float) -> Array:
-        """What has crept per unit of share, (n, 3), m."""
-        if scene.elastic is None:
-            return np.zeros((len(scene), 3))
-        return self._crept(scene, scene.elastic.displacement, T, memory, spread)
+    def _columns(self, scene: Scene, theta: Array) -> Array:
+        """What has crept per unit of share and of each gear's further compliance, (n, 3, 1 + gears), m."""
+        _, T, memory, spread, *_, apart = theta
+        gears = (scene.J * scene.tau[:, None, :])[:, :, scene.driven] * (apart >= 0.5)
+        elastic = np.zeros((len(scene), 3)) if scene.elastic is None else scene.elastic.displacement
+        return self._crept(scene, np.concatenate([elastic[:, :, None], gears], axis=2), T, memory, spread)
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
-        return np.asarray(theta[0] * self._crept(scene, change.displacement, *theta[1:]))
+        _, T, memory, spread, *_ = theta
+        return np.asarray(theta[0] * self._crept(scene, change.displacement, T, memory, spread))
 
     def _crept(self, scene: Scene, v: Array, T: float, memory: float, spread: float) -> Array:
         """What has crept of displacements v, (n, 3[, p]), under loads that have the elastic response of the scene."""
@@ -83,7 +95,15 @@ class Creep(Effect):
         return np.asarray(v * (1.0 - np.exp(-np.maximum(scene.stamp - since, 0.0) / T)).reshape(along))
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
-        return _Creep(*theta)
+        gears = np.zeros(scene.n_joints)
+        gears[scene.driven] = theta[4:-1] * (theta[-1] >= 0.5)
+        share, T, memory, spread = theta[:4]
+        return _Creep(share, T, memory, spread, gears)
+
+
+def _linear(theta: Array) -> Array:
+    """The share and the further compliance of each gear."""
+    return np.append(theta[0], theta[4:-1])
 
 
 def _shortest_seen(scene: Scene) -> float:
@@ -105,8 +125,9 @@ def time_constants(T: float, spread: float) -> list[float]:
 
 
 class _Creep(ElasticLaw):
-    def __init__(self, share: float, T: float, memory: float, spread: float) -> None:
+    def __init__(self, share: float, T: float, memory: float, spread: float, gears: Array) -> None:
         self._share, self._T, self._remembers = float(share), time_constants(float(T), spread), memory >= 0.5
+        self._gears = gears
         self.reset()
 
     def reset(self) -> None:
@@ -114,12 +135,13 @@ class _Creep(ElasticLaw):
         self._applied, self._age = np.zeros(3), 0.0
 
     def displacement(self, tick: Tick, elastic: Array, tcp: Array) -> Array:
-        weight = self._share / len(self._T)
+        in_the_end = self._share * elastic
+        in_the_end[tick.drives] += self._gears * tick.tau
         if self._remembers:
-            self._crept = [c + (1.0 - math.exp(-tick.dt / T)) * (elastic - c) for c, T in zip(self._crept, self._T, strict=True)]
-            return weight * np.sum(self._crept, axis=0)
+            steps = [1.0 - math.exp(-tick.dt / T) for T in self._T]
+            self._crept = [c + step * (in_the_end - c) for c, step in zip(self._crept, steps, strict=True)]
+            return np.asarray(np.mean(self._crept, axis=0))
         if _changed(tcp, self._applied):
             self._applied, self._age = tcp, 0.0
         self._age += tick.dt
-        out: Array = weight * sum(1.0 - math.exp(-self._age / T) for T in self._T) * elastic
-        return out
+        return np.asarray(np.mean([1.0 - math.exp(-self._age / T) for T in self._T]) * in_the_end)

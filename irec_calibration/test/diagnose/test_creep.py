@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gears that creep alike, and gears of which each creeps by its own share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import Ladder, improve
+from irec_calibration.effects.scene import Scene
+from irec_calibration.typing import Array
+from test_diagnose import session, turned
+
+ALIKE = np.full(6, 0.15)
+APART = np.array([0.05, 0.25, 0.1, 0.3, 0.05, 0.3])
+
+
+def creeping(share: Array) -> Callable[[Scene], Array]:
+    """Each gear goes on by its share within some 6 s, and back as slowly; rows are 4 s apart."""
+
+    def moved(scene: Scene) -> Array:
+        in_the_end = share * synthetic.COMPLIANCE * scene.tau
+        angle = np.zeros_like(in_the_end)
+        for row in range(1, len(angle)):
+            if row % 6:
+                angle[row] = angle[row - 1] + (in_the_end[row] - angle[row - 1]) * (1.0 - np.exp(-4.0 / 6.0))
+        return turned(scene, angle)
+
+    return moved
+
+
+def found(share: Array) -> tuple[Ladder, dict[str, float]]:
+    ladder = improve(session(creeping(share)))
+    creep = next(t for t in ladder.rungs[-1].model.terms if t.effect.id == "creep")
+    return ladder, {n: e.value for n, e in creep.estimates.items()}
+
+
+@pytest.mark.parametrize(("share", "apart"), [(ALIKE, False), (APART, True)])
+def test_creep_is_named_and_gears_creep_apart_where_the_session_shows_it(share: Array, apart: bool) -> None:
+    ladder, values = found(share)
+    assert ladder.before.verdict.effects == ("creep",)
+    assert values["apart"] == float(apart)
+    assert ("d_2" in values) == apart
+
+
+def test_a_gear_that_creeps_more_than_another_has_more_compliance_of_its_own() -> None:
+    _, values = found(APART)
+    assert values["d_2"] / synthetic.COMPLIANCE[1] > values["d_1"] / synthetic.COMPLIANCE[0] + 0.1
