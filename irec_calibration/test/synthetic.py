@@ -53,6 +53,8 @@ def session(
     q_of_poses: np.ndarray | None = None,
     lateral: float = 1.0,
     weight: bool = True,
+    sags: float = 1.0,
+    approach: float = 5e-4,
 ) -> Session:
     """A loaded session: 18-DOF truth, five load cases a pose, plus what `extra` adds to the marker's displacement.
 
@@ -60,14 +62,15 @@ def session(
         extra: function of the noise-free scene -> displacement of the marker in base_link, (n, 3), m.
         joints: lowest and highest joint angles of the poses, rad.
         q_of_poses: (poses, 6), rad; drawn where None. lateral: multiple of the forces across the tool.
-        weight: whether gravity acts.
+        weight: whether gravity acts. sags: share of what it bends the arm by on its way that is not commanded away by the
+            controller. approach: standard deviation of joint angles from row to row, rad.
     """
     rng = np.random.default_rng(seed)
     noise = noise or Noise(tracker_m=7.5e-6, tracker_m_per_m=1.8e-6, force_n=1.0, settling_m=2e-6)
     robot = Robot(urdf())
     rows = 6 * poses
     q_of_poses = rng.uniform(*joints, (poses, 6)) if q_of_poses is None else q_of_poses
-    q = np.repeat(q_of_poses, 6, axis=0) + rng.normal(0, 5e-4, (rows, 6))
+    q = np.repeat(q_of_poses, 6, axis=0) + rng.normal(0, approach, (rows, 6))
     case = np.tile(np.arange(6), poses)
     force = np.array([LOAD_CASES.get(int(j), (0, 0, 0)) for j in case], dtype=float)
     force *= np.array([lateral, lateral, 1.0])
@@ -92,14 +95,12 @@ def session(
         lever = scene.p_observed - kin.origin[:, k]
         arm = kin.p_tcp - kin.origin[:, k]
         springs = [(kin.axis[:, k], compliance[k], scene.tau_gravity[:, k])]
-        springs += [
-            (kin.virtual_axis[:, k, v], transverse[2 * k + v], scene.gravity.tau_virtual[:, 2 * k + v]) for v in (0, 1)
-        ]
+        springs += [(kin.virtual_axis[:, k, v], transverse[2 * k + v], scene.gravity.tau_virtual[:, 2 * k + v]) for v in (0, 1)]
         for axis, c, by_weight in springs:
             torque = np.einsum("ni,ni->n", axis, np.cross(arm, scene.force))
             u += c * torque[:, None] * np.cross(axis, lever)
             sag += c * by_weight[:, None] * np.cross(axis, lever)
-    u += sag - sag[6 * (np.arange(rows) // 6)]
+    u += sags * (sag - sag[6 * (np.arange(rows) // 6)])
     if extra is not None:
         u = u + extra(scene)
     in_base = scene.p_observed + u - np.array(station.xyz)

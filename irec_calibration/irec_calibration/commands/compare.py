@@ -30,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     model, session = load_model(args.model), read_session(args.session)
     check_belongs(model, session.robot, session.serial)
-    result = compare(session, model.terms)
+    result = compare(session, model.terms, model.sag_share)
     if args.output:
         folder = Path(args.output)
         write_comparison(result, session, folder / "residuals.csv")

@@ -30,10 +30,9 @@ def run(args: argparse.Namespace) -> int:
     if args.model:
         model = load_model(args.model)
         check_belongs(model, session.robot, session.serial)
-        terms = model.terms
     else:
-        terms = solved(session, start_terms(session))[0].terms
-    result = compare(session, terms)
+        model = solved(session, start_terms(session))[0]
+    result = compare(session, model.terms, model.sag_share)
     mesh = read_cell(args.cell).surface.mesh() if args.cell else None
     magnify = nice_scale(view_of(session), result.residual)
     surface = (mesh.vertices, mesh.corners) if mesh is not None else None

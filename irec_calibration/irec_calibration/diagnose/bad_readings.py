@@ -15,6 +15,7 @@ from ..identification.marker_noise import NOTE as BY_MARKER
 from ..session.data import Session
 from ..typing import Json
 from .remainder import Part
+from .sag import NOTE as OF_SAG
 
 SET_ASIDE = "counts for nothing in the verdict"
 
@@ -50,7 +51,8 @@ def one_note_each(notes: Sequence[str], bad: Sequence[BadRow], aside: Sequence[P
     new = {str(b): "" if known & set(b.rows) else f"{b}, beside what was added" for b in later if str(b) not in true}
     told = dict.fromkeys(true.get(n, new.get(n, n)) for n in notes)
     by_marker = [n for n in told if n.startswith(BY_MARKER)]
-    return tuple(n for n in told if n and n not in by_marker[1:])
+    of_sag = [n for n in told if n.startswith(OF_SAG)]  # the last model is the best one
+    return tuple(n for n in told if n and n not in by_marker[1:] and n not in of_sag[:-1])
 
 
 def rows_json(session: Session, bad: Sequence[BadRow], aside: Sequence[Part]) -> tuple[Json, ...]:

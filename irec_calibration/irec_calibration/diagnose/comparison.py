@@ -19,15 +19,18 @@ from .result import Comparison
 from .settings import SETTINGS
 
 
-def compare(session: Session, terms: Sequence[Term]) -> Comparison:
+def compare(session: Session, terms: Sequence[Term], sag_share: float = 1.0) -> Comparison:
     """Compare a model with values, as it is, with a session; noise of tracker, reference and force propagated.
 
     Stations and markers whose place is an unknown of the session are placed anew: they do not belong to the robot.
 
+    Args:
+        sag_share: see `Model.sag_share`.
+
     Raises:
         SolveError: the session has no usable row.
     """
-    observation = observe_with_force_noise(session, terms)
+    observation = observe_with_force_noise(session, terms, sag_share=sag_share)
     return compare_observed(observation, with_registration(terms, observation))
 
 

@@ -19,11 +19,12 @@ from .accidents import accidents
 from .evidence import Ground
 from .family import Family, Structure, family_of, with_bad_rows
 from .remainder import Part, Remainder, grow
+from .sag import with_sag_as_seen
 from .settings import SETTINGS, Settings
 from .study import Study, study_of
 from .wander import likelier, wandering
 
-ROUNDS = 3  # in which the noise is shared out among markers
+ROUNDS = 3  # in which the noise is shared out among markers, and the sag is seen by another share
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,13 @@ def _beside_wander(first: Study, settings: Settings) -> tuple[Study, Remainder]:
     """A model under noise that wanders, as far as the session shows it, and its remainder."""
     family = family_in_view(first)
     beside = grow(first.bench, family, first.base, without=_follows_time)
+    for _ in range(ROUNDS):
+        seen = with_sag_as_seen(first, beside, settings)
+        if seen is None:
+            break
+        first = study_of(seen, first.terms)
+        family = family_in_view(first)
+        beside = grow(first.bench, family, first.base, without=_follows_time)
     if first.session.kind == "loaded":
         observation = wandering(first.observation, left_beside(first, beside), settings)
         if observation.whiten.wander is None:

@@ -29,6 +29,7 @@ from .parts import parts_in
 from .proposals import proposals
 from .remainder import grow
 from .result import Candidate, Diagnosis, Measurement
+from .sag import with_sag_as_seen
 from .shown import Shown, shown_of
 from .study import Study, completed_study, study_of
 from .tool_weight import READ_AT_REFERENCES, Readings, reference_readings
@@ -105,6 +106,11 @@ def examine(
     if observation is not None:
         say(0.5 * (done.fitted + done.built), "weighing the effects again without what is plainly wrong beside them")
         asked, study = replace(study_of(observation, asked.terms), apart=asked.apart), study_of(observation, study.terms)
+        built = build(study, check)
+    seen = with_sag_as_seen(built.final.study, built.final.remainder)
+    if seen is not None:
+        say(0.5 * (done.fitted + done.built), "weighing the effects again with what the arm sags on its way as it shows")
+        asked, study = replace(study_of(seen, asked.terms), apart=asked.apart), study_of(seen, study.terms)
         built = build(study, check)
     left = noise_left(built.final.study, built.final.remainder, built.family)
     if left is not None:

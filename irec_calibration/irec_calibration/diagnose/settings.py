@@ -97,6 +97,10 @@ class Settings(Thresholds):
         2.3, "nats", "evidence that an effect needs to be part of an improved model without a name, where no structure is left",
         "odds of 10: likelier there than not, even if before the session it was as rare as one in eleven",
     )  # fmt: skip
+    nats_for_sag: float = threshold(
+        2.3, "nats", "log odds at which the arm is taken to sag otherwise on its way than the masses of its description say",
+        "odds of 10; the share has a prior about 1, within a factor of two",
+    )  # fmt: skip
     nats_in_one_pose: float = threshold(
         20.0, "nats", "evidence that a name needs which shows in the differences of one pose of a loaded session only",
         "a bad pose is far more common than a bumped station; the absolute readings of later poses count with it",

@@ -100,14 +100,14 @@ class View:
     Attributes:
         p_observed: marker (identification) or TCP (prediction), (n, 3), m.
         moves_with_arm: False for a marker on base_link, (n,).
-        sags: whether what its own weight bends the arm by on the way from the reference is seen too: by who measures a loaded
-            session, not in what the process force causes.
+        sags: share of what its own weight bends the arm by on the way from the reference that is seen too: by who measures a
+            loaded session, not in what the process force causes.
     """
 
     arm: Arm
     p_observed: Array
     moves_with_arm: BoolArray
-    sags: bool = False
+    sags: float = 0.0
 
     @cached_property
     def kept(self) -> dict[str, Any]:

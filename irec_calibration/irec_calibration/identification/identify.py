@@ -56,13 +56,16 @@ class Fit:
     converged: bool = True
 
 
-def identify(session: Session, terms: Sequence[Term]) -> Fit:
+def identify(session: Session, terms: Sequence[Term], sag_share: float = 1.0) -> Fit:
     """Identify a model from a session: Eq. (1)-(19).
+
+    Args:
+        sag_share: see `Model.sag_share`.
 
     Raises:
         SolveError: the session can't determine it; says what is missing.
     """
-    observation = observe_with_force_noise(session, terms)
+    observation = observe_with_force_noise(session, terms, sag_share=sag_share)
     return fit(terms, observation)
 
 
@@ -128,14 +131,19 @@ def _with_errors(terms: tuple[Term, ...], system: System, se: Array, single: Boo
     return tuple(out)
 
 
-def observe_with_force_noise(session: Session, terms: Sequence[Term], lasting: Sequence[int] = ()) -> Observation:
+def observe_with_force_noise(
+    session: Session, terms: Sequence[Term], lasting: Sequence[int] = (), sag_share: float = 1.0
+) -> Observation:
     """The observation of a session without rows that are plainly wrong (`outliers`), with the force sensor's noise carried
     through a first fit of the terms' springs: what every fit, comparison and verdict rests on.
 
-    What was found stands in the observation's `bad` and in the notes of its session; lasting: see `outliers.treated`.
+    What was found stands in the observation's `bad` and in the notes of its session.
+
+    Args:
+        lasting: see `outliers.treated`. sag_share: see `Model.sag_share`.
     """
     session = _with_notes(with_better_joints(session))
-    first = treated(observe(session), terms, lasting)
+    first = treated(observe(session).seeing(sag_share), terms, lasting)
     if session.kind == "absolute":
         found, _ = fitted(terms, first)
         residual = first.y - first.of(total_displacement(found, first.scene))
@@ -144,7 +152,7 @@ def observe_with_force_noise(session: Session, terms: Sequence[Term], lasting: S
     if session.noise.force_n <= 0.0 or not any(t.effect.elastic for t in terms):
         return first
     springs, _ = fitted([t for t in terms if t.effect.elastic], first)
-    return again(observe(session, elastic_response(springs, first.scene).compliance[:, :, :3]), first)
+    return again(observe(session, elastic_response(springs, first.scene).compliance[:, :, :3]).seeing(sag_share), first)
 
 
 def _with_notes(session: Session) -> Session:

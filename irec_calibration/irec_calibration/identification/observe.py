@@ -64,6 +64,12 @@ class Observation:
         sees = None if self.sees is None else self.sees[keep]
         return replace(self, rows=rows, y=y, pose=pose, whiten=self.whiten.only(keep), weight=weight, sees=sees)
 
+    def seeing(self, sag_share: float) -> Observation:
+        """The same where it sees this share of what the arm sags on the way from the reference (`View.sags`), if any at all."""
+        if self.session.kind != "loaded" or self.session.contact is not None:
+            return self
+        return replace(self, scene=replace(self.scene, view=replace(self.scene.view, sags=sag_share)))
+
     def weighted(self, weight: Array) -> Observation:
         """The same rows, each counting as much less as its weight says, (m,)."""
         whiten = replace(self.whiten, sigma=self.whiten.sigma * np.sqrt(self.weight / weight))

@@ -48,6 +48,7 @@ def model_of(result: Fit, *, held_out: HeldOut | None = None, parent: str = "") 
             "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             **({"parent": parent} if parent else {}),
             **instruments(result),
+            **_sag_share(result),
             **({"without_tracker": True} if session.contact is not None else {}),
             **({"held_at_zero": list(held)} if held else {}),
             **({"caution": GUESSED} if _rests_on_guesses(result) else {}),
@@ -65,6 +66,14 @@ def model_of(result: Fit, *, held_out: HeldOut | None = None, parent: str = "") 
         },
         combinations=result.combinations,
     )
+
+
+def _sag_share(result: Fit) -> Json:
+    """`Model.sag_share`, where it is not what is expected."""
+    observation = result.observation
+    share = observation.scene.view.sags
+    sees_it = observation.session.kind == "loaded" and observation.session.contact is None
+    return {"sag_share": share} if sees_it and share != 1.0 else {}
 
 
 def _figures(held_out: HeldOut) -> Json:

@@ -4,6 +4,7 @@
 from .model import (
     EIGHTEEN_DOF,
     GEOMETRIC,
+    MOST_SAG,
     NO_UNIT,
     SIX_DOF,
     Combination,
@@ -19,12 +20,14 @@ from .model import (
     elastic_response,
     prepared,
     regressors,
+    sag_of,
     total_displacement,
 )
 
 __all__ = [
     "EIGHTEEN_DOF",
     "GEOMETRIC",
+    "MOST_SAG",
     "NO_UNIT",
     "SIX_DOF",
     "Combination",
@@ -40,5 +43,6 @@ __all__ = [
     "elastic_response",
     "prepared",
     "regressors",
+    "sag_of",
     "total_displacement",
 ]

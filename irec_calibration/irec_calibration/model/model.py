@@ -23,6 +23,7 @@ GEOMETRIC = ("station_pose", "marker_position", "geometry_error")  # where absol
 
 
 NO_UNIT = ("1", "0 or 1")
+MOST_SAG = 1.5  # times what the masses of a robot description say
 
 
 @dataclass(frozen=True)
@@ -149,6 +150,13 @@ class Model:
         """Effect ids in order."""
         return tuple(t.effect.id for t in self.terms)
 
+    @property
+    def sag_share(self) -> float:
+        """Share of what the arm sags more on the way from the reference, by its springs and the masses of its description, that
+        its loaded sessions show; 0 where the controller corrects for all of it."""
+        share = self.made.get("sag_share", 1.0) if isinstance(self.made, dict) else 1.0
+        return float(share) if isinstance(share, (int, float)) and 0.0 <= share <= MOST_SAG else 1.0
+
     def predict(self, scene: Scene) -> Array:
         """Deflection of the TCP in each row, (n, 3), m, in base_link.
 
@@ -192,7 +200,7 @@ def apply_wrench_effects(terms: Sequence[Term], scene: Scene) -> Scene:
 def displacement_of(term: Term, scene: Scene) -> Array:
     """Displacement of the observed point by one term, (n, 3), m."""
     moved = _moved(term, scene)
-    return moved + _sag(term, scene) if term.effect.elastic and scene.view.sags else moved
+    return moved + scene.view.sags * _sag(term, scene) if term.effect.elastic and scene.view.sags else moved
 
 
 def _moved(term: Term, scene: Scene) -> Array:
@@ -212,6 +220,15 @@ def _sag(term: Term, scene: Scene) -> Array:
         return np.zeros((len(scene), 3))
     sag = _moved(term, weighs)
     return sag - sag[scene.reference]
+
+
+def sag_of(terms: Sequence[Term], scene: Scene) -> Array | None:
+    """What the springs of a model give way more under the weight of the arm than at the reference of each row, all of it,
+    (n, 3), m; None where a session of this kind does not see it."""
+    springs = [t for t in terms if t.effect.elastic]
+    if scene.kind != "loaded" or scene.instruments.by_contact or not springs:
+        return None
+    return sum((_sag(t, scene) for t in springs), np.zeros((len(scene), 3)))
 
 
 def loaded(terms: Sequence[Term], scene: Scene) -> list[Term]:

@@ -138,7 +138,7 @@ def _quick_check(
     place: Place, store: Store, run: Run, now: tuple[Entry, Path, Model], before: Session, side: CellSide
 ) -> tuple[QuickResult, QuickPlan]:
     side.report("quick_check", "choosing poses that would show a change")
-    reference = reference_of(now[2].terms, before, place.tolerance)
+    reference = reference_of(now[2].terms, before, place.tolerance, now[2].sag_share)
     kept = store.folder / now[0].calibration / "poses.yaml"
     listed = read_poses(kept, place.serial, place.robot.sha256)
     begun = _lateral_of(run)
@@ -171,7 +171,7 @@ def _quick_check_of(place: Place, run: Run, model: Model, before: Session) -> tu
     path = run.folder / "quick.mcap"
     if not path.exists():
         return None, None
-    reference = reference_of(model.terms, before, place.tolerance)
+    reference = reference_of(model.terms, before, place.tolerance, model.sag_share)
     chosen = plan(reference, _lateral_of(run) or 1.0)
     _, quick = _so_far(reference, chosen, path, 0, last=True)
     return quick, chosen if quick is not None else None

@@ -130,8 +130,9 @@ def judge(
     start = _start(in_force)
     held_out = held_out_poses(session, acceptance.held_out_share)
     training = session.select_poses([p for p in session.poses.tolist() if p not in held_out])
-    trained = Model(identify(training, start).terms)
-    observation = observe_with_force_noise(session, start)
+    sag_share = 1.0 if in_force is None else in_force.sag_share
+    trained = Model(identify(training, start, sag_share).terms)
+    observation = observe_with_force_noise(session, start, sag_share=sag_share)
     rows = np.isin(observation.pose, held_out)
     rms_new = rms(residual_of(trained, observation)[rows])
     rms_old = float("nan") if in_force is None else rms(residual_of(in_force, observation)[rows])
@@ -140,7 +141,7 @@ def judge(
     floor = observation.whiten.floor
     change = None
     if in_force is not None and before is not None:
-        change = check(reference_of(in_force.terms, before, tolerance), session, last=True)
+        change = check(reference_of(in_force.terms, before, tolerance, in_force.sag_share), session, last=True)
     criteria = _criteria(session, acceptance, rms_new, floor)
     verdict, text = _verdict(criteria, change, in_force, rms_new, rms_old, acceptance)
     axes = axis_compliances(model.terms, observation.scene)

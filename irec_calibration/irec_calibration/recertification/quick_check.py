@@ -104,14 +104,15 @@ class QuickResult:
     visits: int = 0
 
 
-def reference_of(terms: Sequence[Term], session: Session, tolerance: float) -> Reference:
+def reference_of(terms: Sequence[Term], session: Session, tolerance: float, sag_share: float = 1.0) -> Reference:
     """Prepare the calibration in force for quick checks.
 
     Args:
         session: the session that the model in force was identified from. tolerance: of the process, m.
+        sag_share: see `Model.sag_share`.
     """
     terms = tuple(t for t in terms if not t.effect.registers)
-    observation = observe_with_force_noise(with_stations_found(session), terms)
+    observation = observe_with_force_noise(with_stations_found(session), terms, sag_share=sag_share)
     residual = observation.whiten(observation.y - observation.of(total_displacement(terms, observation.scene))).ravel()
     columns = _columns(terms, observation)
     white = observation.whiten(columns).reshape(len(residual), -1)
@@ -191,7 +192,7 @@ def check(reference: Reference, session: Session, sizes: Mapping[str, float] | N
         SolveError: no row can be used.
     """
     terms = reference.terms
-    now = observe_with_force_noise(with_stations_found(session), terms)
+    now = _observed(reference, session)
     columns = _columns(terms, now)
     B = columns.reshape(3 * len(now.rows), -1)
     d = (now.y - now.of(total_displacement(terms, now.scene))).ravel() - B @ reference.gamma
@@ -228,12 +229,18 @@ def signal_to_noise(reference: Reference, session: Session, displacement: Array,
         displacement: of the observed point by the change, relative to that at the reference, (m, 3), m, in base_link.
         repeats: as if each row were the mean of so many.
     """
-    now = observe_with_force_noise(with_stations_found(session), reference.terms)
+    now = _observed(reference, session)
     B = _columns(reference.terms, now).reshape(3 * len(now.rows), -1)
     a = displacement.reshape(-1, 1)
     level = replace(reference.level, scatter=reference.level.scatter / np.sqrt(repeats))
     covariance = _covariance(reference, now, B, level, same_readings(now))
     return float(np.sqrt(max((a.T @ weighted(covariance, _station(now), a)).item(), 0.0)))
+
+
+def _observed(reference: Reference, session: Session) -> Observation:
+    """The observation of a check, which sees as much of the arm's sag as the calibration did."""
+    share = reference.observation.scene.view.sags
+    return observe_with_force_noise(with_stations_found(session), reference.terms, sag_share=share)
 
 
 def _covariance(reference: Reference, now: Observation, B: Array, level: Level, same: IntArray) -> Array:

@@ -109,7 +109,7 @@ def _ladder(ladder: Ladder) -> Section:
 def _before_after(ladder: Ladder, session: Session, folder: Path) -> list[Section]:
     if len(ladder.rungs) < 2:
         return []
-    before, after = (compare(session, r.model.terms) for r in (ladder.rungs[0], ladder.rungs[-1]))
+    before, after = (compare(session, r.model.terms, r.model.sag_share) for r in (ladder.rungs[0], ladder.rungs[-1]))
     rows, residuals = in_both(before, after)
     figure = samples.residual_maps(
         session.p_tcp_in_base[rows], residuals, ["Before", "After"], folder / "before_after.png",

@@ -120,3 +120,21 @@ def test_a_hose_fixed_at_a_point_pulls_towards_it():
     pulled = (both - Model((springs,)).predict(scene))[scene.load_case > 0]
     # an isotropic spring at the tool gives way along the pull, which acts under load only
     np.testing.assert_allclose(pulled, 1e-6 * k * (point - scene.p_tcp[scene.load_case > 0]), atol=1e-12)
+
+
+def test_a_base_may_be_softest_about_any_horizontal_axis():
+    scene = scene_of(session(5, seed=1), observe="tcp")
+    between, along, across = 0.7, 4e-8, 1e-8
+    turn = np.array([[np.cos(between), -np.sin(between), 0.0], [np.sin(between), np.cos(between), 0.0], [0.0, 0.0, 1.0]])
+    soft = turn @ np.diag([along, across, 0.0]) @ turn.T
+    base = {"r_x": Estimate(soft[0, 0]), "r_y": Estimate(soft[1, 1]), "r_xy": Estimate(soft[0, 1])}
+    tilted = np.cross(np.cross(scene.p_tcp, scene.force) @ soft, scene.p_tcp)
+    np.testing.assert_allclose(Model((Term(find_effect("base_compliance"), base),)).predict(scene), tilted, atol=1e-12)
+
+
+def test_a_light_robot_may_stand_on_what_is_as_soft_as_it_is_light():
+    limits = [
+        next(p.plausible[1] for p in find_effect("base_compliance").parameters(scene_of(replace(session(5), robot=Robot(u)))) if p.name == "r_x")
+        for u in (urdf(), re.sub(r'mass value="([\d.]+)"', lambda m: f'mass value="{float(m[1]) / 100}"', urdf()), NO_MASSES)
+    ]  # fmt: skip
+    assert limits[1] > 5.0 * limits[0] and limits[2] == limits[0]
