@@ -129,7 +129,8 @@ def test_a_base_may_be_softest_about_any_horizontal_axis():
     soft = turn @ np.diag([along, across, 0.0]) @ turn.T
     base = {"r_x": Estimate(soft[0, 0]), "r_y": Estimate(soft[1, 1]), "r_xy": Estimate(soft[0, 1])}
     tilted = np.cross(np.cross(scene.p_tcp, scene.force) @ soft, scene.p_tcp)
-    np.testing.assert_allclose(Model((Term(find_effect("base_compliance"), base),)).predict(scene), scene.change(tilted), atol=1e-12)
+    predicted = Model((Term(find_effect("base_compliance"), base),)).predict(scene)
+    np.testing.assert_allclose(predicted, scene.change(tilted), atol=1e-12)
 
 
 def softest_likely(description: str) -> float:
