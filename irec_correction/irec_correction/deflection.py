@@ -95,8 +95,8 @@ class Deflection:
                         f"effect '{term.effect.id}' {why}; use a model without it, or give the effect a method 'live'"
                         " (docs/adding-an-effect.md)"
                     )
-        self._user = UserTerms(user, scene) if user else None
-        self._chain = chain = build_chain(robot, _springs_needed(springs, laws))
+        self._user = UserTerms(user, scene, model) if user else None
+        self._chain = chain = build_chain(robot, _springs_needed(springs, laws), model.standing(scene).kin)
         self.n_joints = robot.n_joints
         n = chain.n_columns
         C = np.zeros((n, n))

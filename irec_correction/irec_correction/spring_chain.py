@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
-from irec_calibration.robot import Robot
+from irec_calibration.robot import Kinematics, Robot
 from irec_calibration.typing import Array
 
 BASE_SPRING, TOOL_SPRING = "base", "tool"
@@ -61,10 +61,13 @@ def springs_with(columns: Iterable[str]) -> frozenset[str]:
     return frozenset(kinds & {BASE_SPRING, TOOL_SPRING, BENDING_PLACES})
 
 
-def build_chain(robot: Robot, springs: frozenset[str] = frozenset()) -> SpringChain:
-    """The chain of a robot with two virtual axes per joint and, where named in `springs`, base and tool springs and shifts."""
-    zero = np.zeros(robot.n_joints)
-    kin = robot.kinematics(zero)
+def build_chain(robot: Robot, springs: frozenset[str] = frozenset(), at_zero: Kinematics | None = None) -> SpringChain:
+    """The chain of a robot with two virtual axes per joint and, where named in `springs`, base and tool springs and shifts.
+
+    Args:
+        at_zero: where its joints are at joint angles zero (first row), if not where the robot description has them.
+    """
+    kin = robot.kinematics(np.zeros(robot.n_joints)) if at_zero is None else at_zero
     model, parent, index = pin.Model(), 0, {}
     here = pin.SE3.Identity()
 

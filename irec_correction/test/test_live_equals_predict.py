@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_calibration.effects import CATALOGUE, Cause, Effect, Parameter
 from irec_calibration.effects.of_session import scene_of
+from irec_calibration.effects.production import at, production_scene
 from irec_calibration.model import Estimate, Model, Term
 from irec_calibration.robot import Payload
 from irec_calibration.session import Marker, Noise, Session, Station
@@ -65,7 +66,7 @@ def read_by_sensor(model: Model, R_tool: np.ndarray, gravity: np.ndarray, force:
 
 def compare(model: Model, q: np.ndarray, loads: list, gravity=DOWN, payload: Payload | None = None) -> None:
     """The offset of each tick that ends a row, against the prediction for that row."""
-    n, R = len(loads) + 1, ROBOT.kinematics(q[None]).R_tool[0]
+    n, R = len(loads) + 1, model.standing(at(production_scene(ROBOT, np.array(gravity)), q, RAIL)).kin.R_tool[0]
     read = [read_by_sensor(model, R, np.array(gravity), f, m) for f, m, _ in [(np.zeros(3), np.zeros(3), 0.0), *loads]]
     one = np.zeros(n, dtype=np.int64)
     kin = ROBOT.kinematics(np.tile(q, (n, 1)))

@@ -162,6 +162,16 @@ def _of_this_order(study: Study, effect: Effect, known: Readings, theta: Array) 
     return fitted(known.values, np.concatenate([known.ground, own], axis=2))[0] - known.log_evidence - max(best, 0.0)
 
 
+def could_carry(study: Study, term: Term) -> float:
+    """Log odds that the readings have an effect of whose many values they know some combinations only
+    (`Effect.chosen_by_poses`), at values of the order that differences show, over that they do not; 0 of any other."""
+    known = readings_of(study, term.effect) if term.effect.chosen_by_poses else None
+    if known is None:
+        return 0.0
+    own = _any_of_this_order(study, term.effect, term.theta(term.effect.parameters(study.ready)), known.rows)
+    return fitted(known.values, np.concatenate([known.ground, own], axis=2))[0] - known.log_evidence
+
+
 def _any_of_this_order(study: Study, effect: Effect, theta: Array, rows: IntArray) -> Array:
     """What an effect with any values of the order of theta, (p,), moves in some rows, columns in standard deviations,
     (rows, 3, p), m."""

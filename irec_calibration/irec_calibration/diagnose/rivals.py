@@ -12,7 +12,7 @@ from .explanation import Explanation, explain, implausible, in_one_pose, remaind
 from .family import Family
 from .forms import Forms, follows_step, forms_of
 from .lasting import lasts
-from .readings import proved
+from .readings import could_carry, proved
 from .remainder import grow
 from .settings import Settings
 
@@ -71,7 +71,8 @@ def rivals_of(
                 continue
             if in_one_pose(one, other) and lasts(one.study, one.term(other)) < settings.nats_to_name:
                 continue  # it may as well be a bad reading, which is asked beside both
-            if shown - shown_by_readings(one, other) > settings.nats_to_separate:
+            could = could_carry(one.study, one.term(other)) if shown else 0.0
+            if shown - max(shown_by_readings(one, other), could) > settings.nats_to_separate:
                 continue
             if sure and not one.term(other).effect.in_readings:
                 continue

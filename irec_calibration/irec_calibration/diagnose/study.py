@@ -18,7 +18,7 @@ from ..identification.identify import Fit, fit, observe_with_force_noise
 from ..identification.observe import Observation
 from ..identification.system import linearise
 from ..identification.validation import RIDGE, ROUNDING, floored
-from ..model import Term, apply_wrench_effects, elastic_response
+from ..model import Term, apply_wrench_effects, elastic_response, mover_of
 from ..session.data import Session
 from ..typing import Array
 from .evidence import Bench, Block, NoisePrior
@@ -173,7 +173,8 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     result = fit(first, observation, prior_width=width)
     system = result.system
     ready = apply_wrench_effects(result.terms, scene)
-    ready = replace(ready, elastic=elastic_response(result.terms, ready))
+    mover = mover_of(known_effects().values(), ready)
+    ready = replace(ready, elastic=elastic_response(result.terms, ready, mover))
     return Study(
         result,
         ready,

@@ -7,7 +7,7 @@ environment variable `IREC_EFFECTS`, or registered in this process.
 
 from __future__ import annotations
 
-from .base import Effect, Parameter, absent, parameters_of
+from .base import Effect, Parameter, absent, follows_springs, parameters_of
 from .catalogue import CATALOGUE
 from .registry import broken_effects, find_effect, known_effects, register
 from .traits import Ageing, Axes, Cause, Evidence, Family, is_predicted
@@ -24,6 +24,7 @@ __all__ = [
     "absent",
     "broken_effects",
     "find_effect",
+    "follows_springs",
     "is_predicted",
     "known_effects",
     "parameters_of",

@@ -98,6 +98,8 @@ class Effect(ABC):
         cause: what its displacement comes from; decides about predictions and the live correction.
         elastic: a spring of the structure: part of the elastic response that other effects refer to.
         needs_elastic: reads `scene.elastic`.
+        moves_joints: in a loaded session springs turn about other lines than the robot description has: reads
+            `scene.response.by_geometry`, and has `standing`, which predictions rest on.
         needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`, `tracker`,
             `relaxed` (a reference row without load).
         in_readings: moves each reading of a loaded session by itself, and by far more than the differences that it is found in.
@@ -121,6 +123,7 @@ class Effect(ABC):
     cause: ClassVar[Cause] = Cause.LOAD
     elastic: ClassVar[bool] = False
     needs_elastic: ClassVar[bool] = False
+    moves_joints: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ()
     in_readings: ClassVar[bool] = False
     registers: ClassVar[bool] = False
@@ -162,6 +165,10 @@ class Effect(ABC):
             change: of the response by p parameters of a spring, p is the last axis of each field.
         """
         return None
+
+    def standing(self, scene: Scene, theta: Array) -> Scene:
+        """For `moves_joints`: the scene with the arm as it stands."""
+        raise NotImplementedError(f"{self.id} does not move joints")
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray | None:
         """Whether the rows of a session come to where the law of each parameter bends, (p,), at its shape values; None: always.
@@ -215,6 +222,11 @@ class Effect(ABC):
         if self.acts_on == "wrench":
             return Refused("changes the wrench and gives no real-time form of it (a SensorMap)")
         return None
+
+
+def follows_springs(effect: Effect, scene: Scene) -> bool:
+    """Whether an effect reads the elastic response in a scene."""
+    return effect.needs_elastic or (effect.moves_joints and scene.kind == "loaded")
 
 
 def parameters_of(effect: Effect, scene: Scene) -> tuple[Parameter, ...]:

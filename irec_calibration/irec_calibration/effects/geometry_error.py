@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..typing import Array
 from .base import Effect, Parameter
 from .scene import Scene
+from .state import ElasticResponse
 from .station_pose import left_jacobian
 from .traits import Cause, Family
 
@@ -20,13 +23,14 @@ class GeometryError(Effect):
         "A joint's zero, the place of its axis or the axis' direction differ from the robot description: zero offset "
         "(zero_k), displacement (x_k, y_k, z_k) and tilt (tilt_ka, tilt_kb) in the frame that turns with the joint. Exact "
         "forward kinematics in absolute sessions, their derivative in loaded ones, where it shows in proportion to the "
-        "commanded displacement only."
+        "commanded displacement, and in what springs do: they turn about other lines, under a force of another direction."
     )
     family = Family.ANGLE_ERROR
     chosen_by_poses = True
     cause = Cause.STATE
     needs = ("tracker",)
     in_readings = True
+    moves_joints = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         out = []
@@ -52,14 +56,17 @@ class GeometryError(Effect):
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         if scene.kind == "loaded":
-            return self._first_order(scene) @ theta
+            return self.regressor(scene, theta) @ theta
         p = scene.p_observed
         for k, t, w in reversed(self._joint_changes(scene, theta)):
             p = self._moved(scene, k, p, t, w)
         return (p - scene.p_observed) * scene.moves_with_arm[:, None]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        if scene.kind == "loaded" or not np.any(theta):
+        if scene.kind == "loaded":
+            springs = _by_geometry(scene)
+            return self._first_order(scene) if springs is None else self._first_order(scene) + springs
+        if not np.any(theta):
             return self._first_order(scene)
         n, nk = scene.q.shape
         changes = self._joint_changes(scene, theta)
@@ -86,6 +93,17 @@ class GeometryError(Effect):
         out[..., 0] = zero if follow is None else np.einsum("nik,nkl->nil", zero, follow)
         out[..., 4:6] = np.einsum("nikj,kvj->nikv", twist[..., 3:], virtual)
         return out.reshape(n, 3, 6 * nk) * scene.moves_with_arm[:, None, None]
+
+    def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
+        return None if change.by_geometry is None else np.einsum("nigp,g->nip", change.by_geometry, theta)
+
+    def standing(self, scene: Scene, theta: Array) -> Scene:
+        kin, p = scene.kin, scene.p_observed
+        for k, t, w in reversed(self._joint_changes(scene, theta)):
+            if np.any(t) or np.any(w):
+                kin, moved = kin.changed(k, t, w, p)
+                p = np.where(scene.moves_with_arm[:, None], moved, p)
+        return scene.at(replace(scene.arm, kin=kin, p_tcp=kin.p_tcp), p, scene.tau_gravity)
 
     def _joint_changes(self, scene: Scene, theta: Array) -> list[tuple[int, Array, Array]]:
         """Joint, translation (3,) or (n, 3), rotation vector (3,) or (n, 3), in the frame that turns with it."""
@@ -120,6 +138,10 @@ class GeometryError(Effect):
         out[..., 1:4] = np.swapaxes(scene.kin.R_joint, 1, 2) * scene.moves_with_arm[:, None, None, None]
         out[..., 4:6] = scene.V.reshape(n, 3, k, 2)
         return out.reshape(n, 3, 6 * k)
+
+
+def _by_geometry(scene: Scene) -> Array | None:
+    return None if scene.elastic is None else scene.elastic.by_geometry
 
 
 def _following(scene: Scene) -> Array | None:

@@ -256,11 +256,14 @@ class ElasticResponse:
         displacement: (n, 3), m, in base_link.
         rotation: small rotation of the tool, (n, 3), rad, in base_link.
         compliance: displacement by force and torque in tool0, (n, 3, 6), m/N and m/(N m).
+        by_geometry: derivative of the displacement by the parameters of `geometry_error`, (n, 3, g); None where it was not asked
+            for.
     """
 
     displacement: Array
     rotation: Array
     compliance: Array
+    by_geometry: Array | None = None
 
 
 NOT_PER_ROW = ("driven", "in_base", "is_prismatic", "virtual_in_joint")  # arrays of parts and kinematics that are not per row

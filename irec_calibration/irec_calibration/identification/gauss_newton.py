@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..effects import absent, parameters_of
+from ..effects import absent, follows_springs, parameters_of
 from ..errors import Cancelled, SolveError
 from ..model import Estimate, Term, total_displacement
 from ..typing import Array
@@ -82,7 +82,8 @@ def fitted(
 def _iterates(terms: Sequence[Term], observation: Observation) -> bool:
     if observation.scene.view.sags and any(t.effect.elastic for t in terms):
         return True  # the weight bends springs too, which is no part of the derivative
-    return any(t.effect.acts_on == "wrench" or t.effect.needs_elastic or _nonlinear(t, observation) for t in terms)
+    scene = observation.scene
+    return any(t.effect.acts_on == "wrench" or follows_springs(t.effect, scene) or _nonlinear(t, observation) for t in terms)
 
 
 def _values(terms: Sequence[Term], system: System) -> Array:

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..effects import Axes, Effect, Parameter, find_effect, is_predicted, parameters_of
+from ..effects import Axes, Effect, Parameter, find_effect, follows_springs, is_predicted, parameters_of
 from ..effects.scene import Scene
 from ..effects.state import ElasticResponse
 from ..errors import ModelError
 from ..typing import Array, Json
-from .springs import answer_of, by_parameters, displacement_at, is_kept, response_of
+from .springs import answer_of, by_geometry, by_parameters, displacement_at, is_kept, response_of
 
 SIX_DOF = ("joint_torsion",)
 EIGHTEEN_DOF = ("joint_torsion", "link_bending")
@@ -157,19 +157,27 @@ class Model:
         share = self.made.get("sag_share", 1.0) if isinstance(self.made, dict) else 1.0
         return float(share) if isinstance(share, (int, float)) and 0.0 <= share <= MOST_SAG else 1.0
 
+    def standing(self, scene: Scene) -> Scene:
+        """A loaded scene with the arm as it stands by a geometry error of the model: springs turn about other lines."""
+        for term in self.terms:
+            if term.effect.moves_joints and scene.kind == "loaded":
+                scene = term.effect.standing(scene, term.theta(parameters_of(term.effect, scene)))
+        return scene
+
     def predict(self, scene: Scene) -> Array:
         """Deflection of the TCP in each row, (n, 3), m, in base_link.
 
         In `loaded` sessions what the process force causes since the row's reference, evaluated at the force that really acts
-        (sensor effects): what a geometry error makes of the commanded displacement, what is left of a motion, what passes with
-        time and what only instruments see is no part of it, as in the live correction. In `absolute` sessions where the
-        physical TCP is relative to the controller's, without what passes with time and what only instruments see.
+        (sensor effects) on the arm as it stands: what a geometry error makes of the commanded displacement, what is left of a
+        motion, what passes with time and what only instruments see is no part of it, as in the live correction. In `absolute`
+        sessions where the physical TCP is relative to the controller's, without what passes with time and what only instruments
+        see.
 
         Args:
             scene: rows that observe the TCP (`scene_of(session, observe="tcp")`).
         """
         moving = [t for t in self.terms if is_predicted(t.effect.cause, scene.kind)]
-        return scene.change(total_displacement(moving, scene))
+        return scene.change(total_displacement(moving, self.standing(scene)))
 
 
 def blank_model(effects: Sequence[str]) -> tuple[Term, ...]:
@@ -246,23 +254,37 @@ def loaded(terms: Sequence[Term], scene: Scene) -> list[Term]:
     return [less(term) if term.effect.elastic else term for term in terms]
 
 
-def elastic_response(terms: Sequence[Term], scene: Scene) -> ElasticResponse:
+def elastic_response(terms: Sequence[Term], scene: Scene, mover: Effect | None = None) -> ElasticResponse:
     """How the springs among the terms answer (they are linear in the wrench, and in where they are seen), those of loaded axes:
-    what creeps or gives way to a hose is a gear whose teeth carry."""
+    what creeps or gives way to a hose is a gear whose teeth carry.
+
+    Args:
+        mover: an effect that `moves_joints`, if it is asked what springs do by its parameters.
+    """
     n = len(scene)
     u, rotation, compliance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 6))
+    turned = None
     for term in loaded(terms, scene):
-        if term.effect.elastic:
-            one = response_of(term.effect, term.theta(parameters_of(term.effect, scene)), scene)
-            u, rotation, compliance = u + one.displacement, rotation + one.rotation, compliance + one.compliance
-    return ElasticResponse(u, rotation, compliance)
+        if not term.effect.elastic:
+            continue
+        theta = term.theta(parameters_of(term.effect, scene))
+        one = response_of(term.effect, theta, scene)
+        u, rotation, compliance = u + one.displacement, rotation + one.rotation, compliance + one.compliance
+        more = None if mover is None else by_geometry(term.effect, theta, scene, mover)
+        turned = more if turned is None else turned if more is None else turned + more
+    return ElasticResponse(u, rotation, compliance, turned)
+
+
+def mover_of(effects: Iterable[Effect], scene: Scene) -> Effect | None:
+    """The effect that moves the joints of a loaded session, if there is one."""
+    return next((e for e in effects if e.moves_joints), None) if scene.kind == "loaded" else None
 
 
 def prepared(terms: Sequence[Term], scene: Scene) -> Scene:
     """The scene as the effects of a model see it: wrench corrected, elastic response attached where one needs it."""
     scene = apply_wrench_effects(terms, scene)
-    if any(t.effect.needs_elastic for t in terms):
-        scene = replace(scene, elastic=elastic_response(terms, scene))
+    if any(follows_springs(t.effect, scene) for t in terms):
+        scene = replace(scene, elastic=elastic_response(terms, scene, mover_of((t.effect for t in terms), scene)))
     return scene
 
 
@@ -297,14 +319,15 @@ def regressors(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) 
     plain = {i: out[i] for i in springs}
     change: dict[int, ElasticResponse] = {}
     takers = _takers(terms, springs, scene)
+    mover = mover_of((t.effect for t in terms if t.estimates and any(e.value for e in t.estimates.values())), scene)
     for term in terms:
-        if not term.effect.needs_elastic:
+        if not follows_springs(term.effect, scene):
             continue
         theta = term.theta(parameters_of(term.effect, scene))
         for i in springs if theta.any() and type(term.effect).by_elastic is not Effect.by_elastic else ():
             if i not in change:
                 at = terms[i].theta(parameters_of(terms[i].effect, scene))
-                change[i] = by_parameters(terms[i].effect, at, ready, plain[i])
+                change[i] = by_parameters(terms[i].effect, at, ready, plain[i], mover)
             more = term.effect.by_elastic(ready, theta, change[i])
             if more is None:
                 continue

@@ -16,6 +16,7 @@ from ..effects.state import ElasticResponse, Gravity, Rows
 from ..typing import Array
 
 ROWS_KEPT = 3000  # of a scene up to which it is kept
+STEP = 1e-5  # m and rad, by which joints are moved for a derivative
 
 
 class Answer(NamedTuple):
@@ -66,18 +67,37 @@ def response_of(effect: Effect, theta: Array, scene: Scene) -> ElasticResponse:
     return ElasticResponse(u, _rotation(by_place), by_wrench)
 
 
-def by_parameters(effect: Effect, theta: Array, scene: Scene, columns: Array) -> ElasticResponse:
+def by_parameters(effect: Effect, theta: Array, scene: Scene, columns: Array, mover: Effect | None = None) -> ElasticResponse:
     """Derivative of what effects see of a spring by its parameters at their values, the last axis of each field.
 
     Args:
         columns: derivative of its displacement, (n, 3, p); all that is known of a spring that is not kept.
+        mover: an effect that `moves_joints`, if it is asked what springs do by its parameters.
     """
     if not is_kept(effect, scene):
         n, p = len(scene), columns.shape[2]
         return ElasticResponse(columns, np.zeros((n, 3, p)), np.zeros((n, 3, 6, p)))
     known = _kept(effect, theta, scene).columns
     u = known.at_rest + np.einsum("nijkp,nk->nijp", known.by_wrench, _wrench(scene))
-    return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), known.by_wrench[:, :, 0])
+    turned = None if mover is None else np.einsum("nikgp,nk->nigp", _by_geometry(effect, scene, mover).columns, _wrench(scene))
+    return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), known.by_wrench[:, :, 0], turned)
+
+
+def by_geometry(effect: Effect, theta: Array, scene: Scene, mover: Effect) -> Array | None:
+    """Derivative of the displacement by a spring by the parameters of an effect that moves the joints, (n, 3, g); None for a
+    spring that is not kept.
+
+    Springs turn about lines that lie elsewhere then, and the force that is known in tool0 has another direction.
+    """
+    if not is_kept(effect, scene):
+        return None
+    known = _by_geometry(effect, scene, mover)
+    key = theta.tobytes()
+    if key not in known.values:
+        known.values.clear()
+        known.values[key] = known.columns @ theta
+    out: Array = np.einsum("nikg,nk->nig", known.values[key], _wrench(scene))
+    return out
 
 
 def answer_of(effect: Effect, theta: Array, scene: Scene) -> Answer:
@@ -95,6 +115,34 @@ def _kept(effect: Effect, theta: Array, scene: Scene) -> _Kept:
     if not isinstance(known, _Kept) or not known.fits(effect, scene):
         columns = _asked(lambda s: effect.regressor(s, np.zeros_like(theta)), scene)
         known = scene.view.kept[effect.id] = _Kept(effect, scene.rows, scene.gravity, columns, {})
+    return known
+
+
+@dataclass(frozen=True)
+class _Turned:
+    """What each unit of the wrench does through a spring, by where the joints are and by the spring's parameters,
+    (n, 3, 6, g, p), with what it was computed for; `values`: at values of these, (n, 3, 6, g)."""
+
+    effect: Effect
+    mover: Effect
+    rows: Rows
+    columns: Array
+    values: dict[bytes, Array]
+
+
+def _by_geometry(effect: Effect, scene: Scene, mover: Effect) -> _Turned:
+    name = f"{effect.id} by {mover.id}"
+    known = scene.view.kept.get(name)
+    if isinstance(known, _Turned) and known.effect is effect and known.mover is mover and known.rows is scene.rows:
+        return known
+    zero = np.zeros(len(parameters_of(effect, scene)))
+    count = len(parameters_of(mover, scene))
+    here = _kept(effect, zero, scene).columns.by_wrench[:, :, 0]
+    columns = np.empty((len(scene), 3, 6, count, len(zero)))
+    for g, step in enumerate(np.eye(count) * STEP):
+        there = mover.standing(scene, step)
+        columns[:, :, :, g] = (_by_unit(lambda s: effect.regressor(s, zero), there) - here) / STEP
+    known = scene.view.kept[name] = _Turned(effect, mover, scene.rows, columns, {})
     return known
 
 
@@ -120,8 +168,12 @@ def _asked(answer: Callable[[Scene], Array], scene: Scene) -> Answer:
     at_rest, by_wrench = [], []
     for e in np.concatenate([np.zeros((1, 3)), np.eye(3)]):
         there = scene.seen_at(scene.p_observed + e)
-        rest = answer(there.with_wrench(none, none))
-        units = [answer(there.with_wrench(none + unit[:3], none + unit[3:])) - rest for unit in np.eye(6)]
-        at_rest.append(rest)
-        by_wrench.append(np.stack(units, axis=2))
+        at_rest.append(answer(there.with_wrench(none, none)))
+        by_wrench.append(_by_unit(answer, there, at_rest[-1]))
     return Answer(np.stack(at_rest, axis=2), np.stack(by_wrench, axis=2))
+
+
+def _by_unit(answer: Callable[[Scene], Array], scene: Scene, rest: Array | float = 0.0) -> Array:
+    """An answer to each unit of the wrench in tool0, less that to none, (n, 3, 6, ...)."""
+    none = np.zeros((len(scene), 3))
+    return np.stack([answer(scene.with_wrench(none + e[:3], none + e[3:])) - rest for e in np.eye(6)], axis=2)

@@ -18,6 +18,7 @@ import pinocchio as pin
 from ..errors import RobotError
 from ..files.regular import URDF_LIMIT, read_text
 from ..typing import Array, BoolArray, IntArray
+from .kinematics import Kinematics
 
 
 @dataclass(frozen=True)
@@ -31,55 +32,6 @@ class Payload:
 
     mass: float
     com: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Kinematics:
-    """Where the joints and the TCP are in each row; n rows, k moving joints on the path base_link to tool0.
-
-    Attributes:
-        axis: unit vector of each actuated axis in base_link, shape (n, k, 3), Eq. (2) `e_i`.
-        origin: URDF origin of each joint in base_link, shape (n, k, 3), m.
-        R_joint: rotation of the frame that turns with each joint into base_link, shape (n, k, 3, 3).
-        p_tcp: TCP in base_link, shape (n, 3), m.
-        R_tool: rotation of tool0 into base_link, shape (n, 3, 3).
-        is_prismatic: shape (k,).
-        virtual_in_joint: the two unit vectors orthogonal to each axis, in the joint's own frame, shape (k, 2, 3).
-    """
-
-    axis: Array
-    origin: Array
-    R_joint: Array
-    p_tcp: Array
-    R_tool: Array
-    is_prismatic: BoolArray
-    virtual_in_joint: Array
-
-    def jacobian(self, p_in_base: Array) -> Array:
-        """Translational Jacobian of the actuated axes at one point per row, Eq. (2)-(3).
-
-        Args:
-            p_in_base: points fixed to tool0, shape (n, 3), m.
-
-        Returns:
-            shape (n, 3, k), m/rad (revolute) or 1 (prismatic).
-        """
-        lever = p_in_base[:, None, :] - self.origin
-        columns = np.cross(self.axis, lever)
-        columns = np.where(self.is_prismatic[None, :, None], self.axis, columns)
-        return np.swapaxes(columns, 1, 2)
-
-    @cached_property
-    def virtual_axis(self) -> Array:
-        """Unit vectors of the two virtual axes of each joint in base_link, shape (n, k, 2, 3)."""
-        return np.einsum("nkij,kvj->nkvi", self.R_joint, self.virtual_in_joint)
-
-    def virtual_jacobian(self, p_in_base: Array) -> Array:
-        """Translational Jacobian of the virtual axes, shape (n, 3, 2k), ordered 1a, 1b, 2a, ...; m/rad."""
-        lever = (p_in_base[:, None, :] - self.origin)[:, :, None, :]
-        columns = np.cross(self.virtual_axis, lever)
-        n, k = columns.shape[:2]
-        return np.swapaxes(columns.reshape(n, 2 * k, 3), 1, 2)
 
 
 class Robot:
