@@ -78,14 +78,20 @@ def grow(
     taken |= {i for i, s in enumerate(family.structures) if without is not None and without(s)}
     place = {id(s): i for i, s in enumerate(family.structures)}
 
-    def take(i: int, gain: float, amplitude: float) -> None:
+    def take(i: int, gain: float, amplitude: float, least: float) -> None:
+        """Take a structure in, if it has the least evidence at values of the model that can be: its gain was asked with all
+        springs free that were not at a bound before, and none may become less than rigid beside it."""
         nonlocal block, ground, log_evidence, at
         structure = family.structures[i]
-        block = block + family.block(structure, amplitude)
-        at = at.with_columns(structure.columns, family.crossed(structure))
-        parts.append(Part(structure, amplitude, gain))
         taken.add(i)
-        ground = Ground(bench, block, at.products)
+        more = block + family.block(structure, amplitude)
+        there = at.with_columns(structure.columns, family.crossed(structure))
+        above = Ground(bench, more, there.products)
+        gain = min(gain, above.log_evidence - ground.log_evidence)
+        if gain < least:
+            return
+        block, at, ground = more, there, above
+        parts.append(Part(structure, amplitude, gain))
         log_evidence += gain
 
     for part in start:
@@ -94,7 +100,7 @@ def grow(
             continue
         alone, size = family.gain_of(i, ground, (at.crossed, at.by_b))
         if alone > tried[i]:
-            take(i, float(alone - tried[i]), size)
+            take(i, float(alone - tried[i]), size, 0.0)
     while sum(not p.structure.is_bad_row for p in parts) < most and len(parts) < 3 * most and len(family.structures):
         gain, amplitude = family.gains(ground, (at.crossed, at.by_b))
         score = gain - tried
@@ -102,7 +108,7 @@ def grow(
         i = int(np.argmax(score))
         if score[i] < SETTINGS.nats_to_take_in:
             break
-        take(i, float(score[i]), float(amplitude[i]))
+        take(i, float(score[i]), float(amplitude[i]), SETTINGS.nats_to_take_in)
     return Remainder(tuple(parts), log_evidence, block, slice(base.A.shape[1], None))
 
 
