@@ -19,7 +19,7 @@ class Forms:
     Attributes:
         axes: general laws of the torque of these axes; turns: of axes whose compliance goes with their own angle; tilts: links
             that tilt across their axis; drifts: what follows time or a temperature whatever the force; steps: general laws of the
-            step just made by these axes.
+            step just made by these axes; angles: general laws by which these axes turn with their own angle.
     """
 
     axes: frozenset[int] = frozenset()
@@ -27,14 +27,16 @@ class Forms:
     tilts: bool = False
     turns: frozenset[int] = frozenset()
     steps: frozenset[int] = frozenset()
+    angles: frozenset[int] = frozenset()
 
     def __bool__(self) -> bool:
-        return bool(self.axes) or bool(self.turns) or bool(self.steps) or self.drifts or self.tilts
+        return bool(self.axes or self.turns or self.steps or self.angles) or self.drifts or self.tilts
 
     def has(self, structure: Structure) -> bool:
         law = structure.law_of is not None and structure.law_of in self.axes
         law = law or (structure.softer_by_angle is not None and structure.softer_by_angle in self.turns)
         law = law or (structure.by_step and structure.axis in self.steps)
+        law = law or (structure.axis in self.angles and turns_by_angle(structure))
         return law or (self.drifts and structure.is_drift) or (self.tilts and structure.is_tilt)
 
 
@@ -47,7 +49,15 @@ def forms_of(term: Term, scene: Scene) -> Forms:
         return Forms(drifts=True)
     axes, none = _axes(term, scene), frozenset[int]()
     law = term.effect.family is Alike.TORQUE_LAW
-    return Forms(axes if law else none, turns=axes if law and term.effect.by_angle else none, steps=steps(term, scene))
+    angles = axes if term.effect.turns_by_angle and scene.kind == "absolute" else none
+    turns = axes if law and term.effect.by_angle else none
+    return Forms(axes if law else none, turns=turns, steps=steps(term, scene), angles=angles)
+
+
+def turns_by_angle(structure: Structure) -> bool:
+    """Whether a structure turns one axis by a law of its own angle, whatever the load."""
+    plain = structure.law_of is None and structure.softer_by_angle is None and not structure.by_step
+    return plain and structure.axis is not None and structure.variables == (f"joint_{structure.axis + 1}",)
 
 
 def follows_step(effect: Effect, scene: Scene) -> bool:

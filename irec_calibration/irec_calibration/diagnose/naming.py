@@ -93,7 +93,7 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
             return max(rest.gained, bare.remainder.gained), one.remainder.gained
         return rest.gained, remainder_of(one.study, family, one.remainder.parts, forms).gained
 
-    forms, with_steps = replace(forms, steps=frozenset()), forms
+    forms, with_exact = replace(forms, steps=frozenset(), angles=frozenset()), forms
     own = one.named - bare.named
     law = one.term(effect_id).effect.family is Alike.TORQUE_LAW
     in_place, left = beside(replace(forms, tilts=law))
@@ -118,9 +118,14 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
         odds = min(odds - settings.nats_to_name, own + more - instead + told)
     if in_one_pose(one, effect_id):  # differences don't tell it from a bad pose, the readings of later poses may
         odds += lasts(one.study, one.term(effect_id))
-    if with_steps.steps:  # settling and friction are exact members of that curve, which loses nothing where it stands for them
-        in_place, left = beside(with_steps)
-    odds -= settings.share_of_form * max(in_place - left, 0.0)
+    share = settings.share_of_form * max(in_place - left, 0.0)
+    if (with_exact.steps or with_exact.angles) and not any(with_exact.has(p.structure) for p in one.remainder.structures):
+        # settling, friction and an encoder's harmonics are exact members of such a curve: where none is left beside them, it
+        # loses nothing by standing for them, as what else would do in their place does
+        in_place, left = beside(with_exact)
+        share = settings.share_of_form * max(in_place - left, 0.0)
+        odds, share = min(odds, own + left - in_place - share), 0.0
+    odds -= share
     if in_one_pose(one, effect_id):
         return odds
     return max(odds, min(odds + needed(one, effect_id, settings) - settings.nats_over_structure, own))

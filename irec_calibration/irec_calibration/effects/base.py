@@ -113,6 +113,7 @@ class Effect(ABC):
         obsolete: patterns of parameter names that models of an earlier form had; such a model is refused, not misread.
         compliance_of: its parameters are the compliances of these axes; None: they are something else.
         by_angle: the compliance of its axes goes with their own angle, in one form of many.
+        turns_by_angle: turns each axis by a law of its own angle, whatever the load.
         chosen_by_poses: in an absolute session it gets, without values, those parameters that the poses determine.
     """
 
@@ -133,6 +134,7 @@ class Effect(ABC):
     completes: ClassVar[str] = ""
     compliance_of: ClassVar[Axes | None] = None
     by_angle: ClassVar[bool] = False
+    turns_by_angle: ClassVar[bool] = False
     chosen_by_poses: ClassVar[bool] = False
     obsolete: ClassVar[tuple[str, ...]] = ()
 

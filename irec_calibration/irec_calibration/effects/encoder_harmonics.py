@@ -23,6 +23,7 @@ class EncoderHarmonics(Effect):
     )
     family = Family.ANGLE_ERROR
     cause = Cause.STATE
+    turns_by_angle = True
     needs = ("tracker",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

@@ -45,6 +45,17 @@ def settles_slowly(s: Session, p: Array) -> Array:
     return np.asarray(SOFT(s, p) + 1.5e-4 * step[:, None] * s.robot.kinematics(s.q).jacobian(p)[:, :, 2])
 
 
+def read_by_an_eccentric_encoder(s: Session, p: Array) -> Array:
+    turned = 1.5e-4 * np.sin(s.q[:, 0]) + 1e-4 * np.cos(2.0 * s.q[:, 0])
+    return np.asarray(SOFT(s, p) + turned[:, None] * s.robot.kinematics(s.q).jacobian(p)[:, :, 0])
+
+
+def read_by_a_chipped_encoder(s: Session, p: Array) -> Array:
+    """Wrong within a quarter of a turn only."""
+    turned = 4e-4 * np.exp(-(((s.q[:, 0] - 0.4) / 0.4) ** 2))
+    return np.asarray(SOFT(s, p) + turned[:, None] * s.robot.kinematics(s.q).jacobian(p)[:, :, 0])
+
+
 def test_what_a_structure_is_said_to_bring_it_brings() -> None:
     made = session(poses=80, noise=NOISE, moved=SOFT)
     study = prepare(made, start_terms(made)).to_weigh
@@ -88,3 +99,13 @@ def test_the_general_law_of_the_step_before_is_no_rival_of_what_is_a_form_of_it(
     assert all(own_forms(alone, "joint_settling").has(s) for s in by_step) and by_step
     # beside friction it may only mend that one's form
     assert not any(own_forms(replace(alone, added=(settling, friction)), "joint_settling").has(s) for s in by_step)
+
+
+def test_the_general_law_of_an_axis_own_angle_is_no_rival_of_the_harmonics_of_its_encoder() -> None:
+    verdict = diagnose(session(poses=80, noise=NOISE, moved=read_by_an_eccentric_encoder)).verdict
+    assert set(verdict.effects) == {"encoder_harmonics", "joint_torsion"}, verdict.text
+
+
+def test_what_harmonics_do_not_explain_of_an_encoder_is_said() -> None:
+    verdict = diagnose(session(poses=80, noise=NOISE, moved=read_by_a_chipped_encoder)).verdict
+    assert verdict.remaining_m > 1e-5 and "joint_1" in verdict.depends_on, verdict.text
