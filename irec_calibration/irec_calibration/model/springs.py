@@ -79,17 +79,19 @@ def by_parameters(effect: Effect, theta: Array, scene: Scene, columns: Array, mo
         return ElasticResponse(columns, np.zeros((n, 3, p)), np.zeros((n, 3, 6, p)))
     known = _kept(effect, theta, scene).columns
     u = known.at_rest + np.einsum("nijkp,nk->nijp", known.by_wrench, _wrench(scene))
-    turned = None if mover is None else np.einsum("nikgp,nk->nigp", _by_geometry(effect, scene, mover).columns, _wrench(scene))
+    turned = None
+    if mover is not None and not effect.completes:
+        turned = np.einsum("nikgp,nk->nigp", _by_geometry(effect, scene, mover).columns, _wrench(scene))
     return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), known.by_wrench[:, :, 0], turned)
 
 
 def by_geometry(effect: Effect, theta: Array, scene: Scene, mover: Effect) -> Array | None:
-    """Derivative of the displacement by a spring by the parameters of an effect that moves the joints, (n, 3, g); None for a
-    spring that is not kept.
+    """Derivative of the displacement by a spring by the parameters of an effect that moves the joints, (n, 3, g); None where it
+    is not asked: for a spring that is not kept, or that only completes the form of another (some per cent of some per cent).
 
     Springs turn about lines that lie elsewhere then, and the force that is known in tool0 has another direction.
     """
-    if not is_kept(effect, scene):
+    if not is_kept(effect, scene) or effect.completes:
         return None
     known = _by_geometry(effect, scene, mover)
     key = theta.tobytes()
