@@ -19,7 +19,7 @@ from ..identification.validation import gain
 from ..model import Term
 from ..session.data import Session
 from .build import Built, step
-from .explanation import Explanation, implausible, in_one_pose
+from .explanation import Explanation, everywhere, implausible, in_one_pose
 from .held_out import Validated, held_out_beside, validated
 from .naming import needed
 from .parts import prune
@@ -47,8 +47,8 @@ def stand_ins(
     Where structure is left, each needs of its own what a name does: evidence over its absence, values that can be, and an error
     that falls on held-out poses. Only that nothing without a name explains as much is not asked. Where none is left, evidence is
     what it says, and an effect is taken in that is likelier there than not: of all sets of effects that one predicts best
-    (median probability model, Barbieri and Berger 2004). In loaded sessions; absolute ones have more that is neither named nor
-    known to move the tool.
+    (median probability model, Barbieri and Berger 2004). In absolute sessions, which have more that is neither named nor known to
+    move the tool, only what every robot has (`Effect.everywhere`).
 
     Args:
         after: the model without them, as people are shown it; check: raises where the work was cancelled.
@@ -57,7 +57,7 @@ def stand_ins(
         SolveError: the session can't be used with this model.
     """
     out: list[StandIn] = []
-    if built.start.study.ready.kind != "loaded" or len(built.start.study.bench.poses) < settings.fewest_poses:
+    if len(built.start.study.bench.poses) < settings.fewest_poses:
         return ()
     current = built.final
     tried: Sequence[Explanation] = built.refused
@@ -99,6 +99,7 @@ def _least(current: Explanation, one: Explanation, settings: Settings) -> float:
 def _may(one: Explanation) -> bool:
     """Whether predictions have an effect, at values that can be, and more than one pose shows it."""
     effect_id = one.ids[-1]
-    if not is_predicted(find_effect(effect_id).cause, one.study.session.kind):
+    kind = one.study.session.kind
+    if not is_predicted(find_effect(effect_id).cause, kind) or (kind == "absolute" and not everywhere(one, effect_id)):
         return False
     return not in_one_pose(one, effect_id) and not implausible(one, effect_id)
