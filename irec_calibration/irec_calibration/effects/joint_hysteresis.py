@@ -18,7 +18,7 @@ APART = 4.0  # factor between the thresholds of the sliders
 FREED = (0.0, 50.0, 250.0)
 ARRIVED = (-0.5, 0.0, 0.5)
 TURNS = 0.01  # rad of travel after which friction points against it
-SHAPE = 5  # parameters that enter nonlinearly, the last ones
+SHAPE = 4  # parameters that enter nonlinearly, the last ones
 SLIDERS = ("h", "early", "late")  # of each axis, with thresholds r, r / APART, r APART
 
 
@@ -30,8 +30,7 @@ class JointHysteresis(Effect):
         "turns: -J_k sum_i h_ki stop_i(tau_k) (Prandtl-Ishlinskii, history within a pose from the reference on). Up to "
         "three sliders per axis, with thresholds r / 4, r and 4 r, since teeth and seals give way one after the other; "
         "motion of the joint frees what is held, by 1/e per 1 / freed. At the reference a share `arrived` of each threshold is "
-        "held in the direction from which the joint came; with lifted 1 the tool leaves the surface between two load cases, so "
-        "that the torque goes through zero. Missing, "
+        "held in the direction from which the joint came. Missing, "
         "the same load reached from different sides disagrees; repeats reveal it. In absolute sessions the sign of the "
         "last step decides."
     )
@@ -63,7 +62,6 @@ class JointHysteresis(Effect):
             Parameter("spread", "1", 1.0, 0.0, 2.0, start=0.0, grid=(0.0,)),
             Parameter("freed", "1/rad", 100.0, 0.0, 1e4, start=0.0, grid=FREED),
             Parameter("arrived", "1", 1.0, -1.0, 1.0, start=0.0, grid=ARRIVED),
-            Parameter("lifted", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0)),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
@@ -77,7 +75,7 @@ class JointHysteresis(Effect):
         h, shape = theta[:-SHAPE], theta[-SHAPE:]
         columns = self._columns(scene, *shape)
         by_shape = np.zeros((len(scene), 3, SHAPE))
-        for i, step in ((0, 1e-4), (2, 1e-2), (3, 1e-2)) if np.any(h) else ():  # the others are never moved
+        for i, step in ((0, 1e-4), (2, 1e-2), (3, 1e-2)) if np.any(h) else ():  # spread is never moved
             ahead, behind = shape.copy(), shape.copy()
             ahead[i] += step
             behind[i] -= step
@@ -89,7 +87,7 @@ class JointHysteresis(Effect):
         resolved = np.where(np.abs(scene.step) > 1e-4, np.sign(scene.step), 0.0)
         return (0.5 * scene.J * resolved[:, None, :])[:, :, scene.driven]
 
-    def _columns(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float, lifted: float) -> Array:
+    def _columns(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> Array:
         """Displacement per unit of each slider: minus the part of the torque that it holds (the stop operator)."""
         r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
         played = np.zeros((len(scene), len(r), scene.n_joints))
@@ -99,8 +97,6 @@ class JointHysteresis(Effect):
             if n:
                 before = scene.previous[rows]
                 last = released(played[before], scene.tau[before][:, None], freed * scene.step[rows][:, None])
-                if lifted >= 0.5:
-                    last = np.clip(last, -r, r)
             played[rows] = np.clip(last, tau - r, tau + r)
         held = by_slider(played - scene.tau[:, None, :], 1)
         return np.concatenate([(scene.J * held[:, None, i])[:, :, scene.driven] for i in range(len(SLIDERS))], axis=2)
@@ -116,8 +112,7 @@ class _Friction(ColumnLaw):
         self.columns = drives(scene.n_joints)
         self._h = np.zeros((len(SLIDERS), scene.n_joints))
         self._h[:, scene.driven] = theta[:-SHAPE].reshape(len(SLIDERS), -1)
-        # here a course begins with nothing held, and the sensor sees by itself where the tool leaves the surface
-        fraction, spread, self._freed, *_ = (float(v) for v in theta[-SHAPE:])
+        fraction, spread, self._freed, _ = (float(v) for v in theta[-SHAPE:])  # here a course begins with nothing held
         self._r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
         self.reset()
 

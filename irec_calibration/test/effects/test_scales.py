@@ -80,22 +80,6 @@ def test_motion_of_a_joint_frees_what_its_friction_holds():
     np.testing.assert_allclose(held, freed, atol=1e-15)
 
 
-@pytest.mark.parametrize("lifted", [0.0, 1.0])
-def test_where_the_tool_leaves_the_surface_between_load_cases_friction_comes_from_no_torque(lifted):
-    scene = scene_of(session(3, seed=1))
-    h, r = 1e-7, 0.03 * rated_torque(scene.robot)
-    held = np.zeros_like(scene.q)
-    for i in range(len(scene)):
-        before = scene.previous[i]
-        way = [scene.tau[i]] if before < 0 or not lifted else [np.zeros(6), scene.tau[i]]
-        played = np.zeros(6) if before < 0 else held[before]
-        for tau in way:
-            played = np.clip(played, tau - r, tau + r)
-        held[i] = played
-    expected = np.einsum("nik,nk->ni", scene.J, h * (held - scene.tau))
-    np.testing.assert_allclose(_hysteresis(scene, r=0.03, h=h, lifted=lifted), expected, atol=1e-15)
-
-
 def test_friction_at_a_reference_points_to_where_the_joint_came_from():
     scene = scene_of(session(4, seed=1))
     references = np.flatnonzero(scene.load_case == 0)
