@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ..typing import Array
 from .base import Effect, Parameter
+from .live import LeftOut
 from .scene import Scene
 from .state import ElasticResponse
 from .station_pose import left_jacobian
@@ -96,6 +97,9 @@ class GeometryError(Effect):
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
         return None if change.by_geometry is None else np.einsum("nigp,g->nip", change.by_geometry, theta)
+
+    def no_live_form(self) -> LeftOut:
+        return LeftOut("does not depend on the process force itself; springs turn about the joints where it has them")
 
     def standing(self, scene: Scene, theta: Array) -> Scene:
         kin, p = scene.kin, scene.p_observed
