@@ -11,7 +11,7 @@ Student-t in place of the normal).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -169,7 +169,7 @@ class Ground:
     def __init__(self, bench: Bench, block: Block, products: Products | None = None) -> None:
         """products: A'A and A'b of the block, where they are known already."""
         G, h = products or (block.A.T @ block.A, block.A.T @ bench.b)
-        self.bench, self._block = bench, block
+        self.bench, self._block, self._products = bench, block, (G, h)
         alone = bench.posterior(block, products=(G, h))
         self.log_evidence, self.chi2 = alone.log_evidence, alone.chi2
         x = alone.x
@@ -219,6 +219,17 @@ class Ground:
         V, _ = self.reduce(column[:, None])
         out: Array = column - self._B @ solve_triangular(self._L, V[:, 0], lower=True, trans="T")
         return out
+
+    def lost_to_bounds(self, before: Ground) -> float:
+        """By how much the log evidence of the fit would be higher if no column had come to a bound that was free in the ground
+        before, to which columns were added."""
+        n = len(before._free)
+        if not (before._free & ~self._free[:n]).any():
+            return 0.0
+        free = np.concatenate([before._free, np.ones(len(self._free) - n, dtype=bool)])
+        lower, upper = np.where(free, -np.inf, self._block.lower), np.where(free, np.inf, self._block.upper)
+        loose = Ground(self.bench, replace(self._block, lower=lower, upper=upper), self._products)
+        return max(loose._fit - self._fit, 0.0)
 
     def fit_gain(self, loss: Array) -> Array:
         """Log evidence gained by the fit alone where the loss falls to these values."""

@@ -87,7 +87,7 @@ def grow(
         more = block + family.block(structure, amplitude)
         there = at.with_columns(structure.columns, family.crossed(structure))
         above = Ground(bench, more, there.products)
-        gain = min(gain, above.log_evidence - ground.log_evidence - float(tried[i]))
+        gain -= above.lost_to_bounds(ground)
         if gain < least:
             return
         block, at, ground = more, there, above
