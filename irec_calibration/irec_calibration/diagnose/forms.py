@@ -36,7 +36,7 @@ class Forms:
         law = structure.law_of is not None and structure.law_of in self.axes
         law = law or (structure.softer_by_angle is not None and structure.softer_by_angle in self.turns)
         law = law or (structure.by_step and structure.axis in self.steps)
-        law = law or (structure.axis in self.angles and turns_by_angle(structure))
+        law = law or (structure.axis in self.angles and _by_own_angle(structure))
         return law or (self.drifts and structure.is_drift) or (self.tilts and structure.is_tilt)
 
 
@@ -54,7 +54,7 @@ def forms_of(term: Term, scene: Scene) -> Forms:
     return Forms(axes if law else none, turns=turns, steps=steps(term, scene), angles=angles)
 
 
-def turns_by_angle(structure: Structure) -> bool:
+def _by_own_angle(structure: Structure) -> bool:
     """Whether a structure turns one axis by a law of its own angle, whatever the load."""
     plain = structure.law_of is None and structure.softer_by_angle is None and not structure.by_step
     return plain and structure.axis is not None and structure.variables == (f"joint_{structure.axis + 1}",)

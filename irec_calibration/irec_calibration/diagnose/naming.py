@@ -118,14 +118,13 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
         odds = min(odds - settings.nats_to_name, own + more - instead + told)
     if in_one_pose(one, effect_id):  # differences don't tell it from a bad pose, the readings of later poses may
         odds += lasts(one.study, one.term(effect_id))
-    share = settings.share_of_form * max(in_place - left, 0.0)
     if (with_exact.steps or with_exact.angles) and not any(with_exact.has(p.structure) for p in one.remainder.structures):
         # settling, friction and an encoder's harmonics are exact members of such a curve: where none is left beside them, it
         # loses nothing by standing for them, as what else would do in their place does
         in_place, left = beside(with_exact)
-        share = settings.share_of_form * max(in_place - left, 0.0)
-        odds, share = min(odds, own + left - in_place - share), 0.0
-    odds -= share
+        odds = min(odds, own + left - in_place - settings.share_of_form * max(in_place - left, 0.0))
+    else:
+        odds -= settings.share_of_form * max(in_place - left, 0.0)
     if in_one_pose(one, effect_id):
         return odds
     return max(odds, min(odds + needed(one, effect_id, settings) - settings.nats_over_structure, own))

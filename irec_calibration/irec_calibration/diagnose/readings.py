@@ -155,20 +155,24 @@ def _of_this_order(study: Study, effect: Effect, known: Readings, theta: Array) 
 
     For an effect of whose many values differences and readings each know some combinations only.
     """
-    own = _any_of_this_order(study, effect, theta, known.rows)
     present = {t.effect.id for t in study.terms}
     others = [e for e in known_effects().values() if e.in_readings and e.id not in present and not study.why_not(e)]
     best = max([by_readings(study, e)[0] for e in others], default=0.0)
-    return fitted(known.values, np.concatenate([known.ground, own], axis=2))[0] - known.log_evidence - max(best, 0.0)
+    return _with_any_of_this_order(study, effect, known, theta) - max(best, 0.0)
 
 
 def could_carry(study: Study, term: Term) -> float:
-    """Log odds that the readings have an effect of whose many values they know some combinations only
+    """Log odds, natural log, that the readings have an effect of whose many values they know some combinations only
     (`Effect.chosen_by_poses`), at values of the order that differences show, over that they do not; 0 of any other."""
     known = readings_of(study, term.effect) if term.effect.chosen_by_poses else None
     if known is None:
         return 0.0
-    own = _any_of_this_order(study, term.effect, term.theta(term.effect.parameters(study.ready)), known.rows)
+    return _with_any_of_this_order(study, term.effect, known, term.theta(term.effect.parameters(study.ready)))
+
+
+def _with_any_of_this_order(study: Study, effect: Effect, known: Readings, theta: Array) -> float:
+    """Log odds that the readings have an effect with any values of the order of theta, (p,), over that they do not."""
+    own = _any_of_this_order(study, effect, theta, known.rows)
     return fitted(known.values, np.concatenate([known.ground, own], axis=2))[0] - known.log_evidence
 
 

@@ -169,7 +169,10 @@ class Effect(ABC):
         return None
 
     def standing(self, scene: Scene, theta: Array) -> Scene:
-        """For `moves_joints`: the scene with the arm as it stands."""
+        """For `moves_joints`: the scene with the arm as it stands by these values, (p,).
+
+        The controller's joint angles, the wrench in tool0 and the torque of gravity stay.
+        """
         raise NotImplementedError(f"{self.id} does not move joints")
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray | None:

@@ -263,7 +263,7 @@ def elastic_response(terms: Sequence[Term], scene: Scene, mover: Effect | None =
     """
     n = len(scene)
     u, rotation, compliance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 6))
-    turned = None
+    turned = []
     for term in loaded(terms, scene):
         if not term.effect.elastic:
             continue
@@ -271,8 +271,8 @@ def elastic_response(terms: Sequence[Term], scene: Scene, mover: Effect | None =
         one = response_of(term.effect, theta, scene)
         u, rotation, compliance = u + one.displacement, rotation + one.rotation, compliance + one.compliance
         more = None if mover is None else by_geometry(term.effect, theta, scene, mover)
-        turned = more if turned is None else turned if more is None else turned + more
-    return ElasticResponse(u, rotation, compliance, turned)
+        turned += [] if more is None else [more]
+    return ElasticResponse(u, rotation, compliance, np.sum(turned, axis=0) if turned else None)
 
 
 def mover_of(effects: Iterable[Effect], scene: Scene) -> Effect | None:
@@ -319,7 +319,7 @@ def regressors(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) 
     plain = {i: out[i] for i in springs}
     change: dict[int, ElasticResponse] = {}
     takers = _takers(terms, springs, scene)
-    mover = mover_of((t.effect for t in terms if t.estimates and any(e.value for e in t.estimates.values())), scene)
+    mover = mover_of((t.effect for t in terms if any(e.value for e in t.estimates.values())), scene)
     for term in terms:
         if not follows_springs(term.effect, scene):
             continue
