@@ -97,6 +97,8 @@ class Deflection:
                     )
         self._user = UserTerms(user, scene, model) if user else None
         self._chain = chain = build_chain(robot, _springs_needed(springs, laws), model.standing(scene).kin)
+        # an offset is turned into the tool as the controller believes it: a chain of its own only beside a geometry error
+        self._described = build_chain(robot) if any(t.effect.moves_joints for t in model.terms) else chain
         self.n_joints = robot.n_joints
         n = chain.n_columns
         C = np.zeros((n, n))
@@ -127,8 +129,8 @@ class Deflection:
 
     @property
     def R_tool(self) -> Array:
-        """tool0 in base_link at the last call, (3, 3); overwritten by the next one."""
-        return self._chain.R_tool
+        """tool0 in base_link at the last call, by the controller, (3, 3); overwritten by the next one."""
+        return self._described.R_tool
 
     def reset(self) -> None:
         """Forget history: the robot stands relaxed, without process force."""
@@ -154,6 +156,8 @@ class Deflection:
         """
         chain, tick = self._chain, self._tick
         chain.update(q)
+        if self._described is not chain:
+            self._described.update(q)
         tick.q, tick.dt, tick.rail_position = q, dt, rail_position
         R, J = chain.R_tool, chain.J_at_base
         if self._sensor is not None:

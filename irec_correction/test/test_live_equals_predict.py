@@ -124,6 +124,15 @@ def test_an_effect_of_the_user_reads_the_springs_of_the_model_live_too(q, loads)
     compare(Model((*terms, u)), np.array(q), loads)
 
 
+@settings(max_examples=12, deadline=None)
+@given(q=angles)
+def test_beside_a_geometry_error_the_tool_is_where_the_controller_believes_it(q):
+    """Springs turn about the true joints; the frame in which a controller takes an offset is its own."""
+    live = Deflection(model_of(*SPRINGS, "geometry_error"), ROBOT)
+    live(np.array(q), np.array([0.0, 0.0, -1000.0]), np.zeros(3), 0.004)
+    np.testing.assert_allclose(live.R_tool, ROBOT.kinematics(np.array(q)).R_tool[0], atol=1e-12)
+
+
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda cls: cls.id)
 def test_an_effect_that_the_process_force_does_not_cause_says_why_it_has_no_part(effect):
     left_out = Deflection(model_of(*SPRINGS, effect.id), ROBOT).left_out
