@@ -16,6 +16,7 @@ from ..effects import find_effect
 from ..effects.disc_compliance import DiscCompliance
 from ..effects.scales import rated_torque, rating_known
 from ..model import EIGHTEEN_DOF, Combination, Term, blank_model, elastic_response, total_displacement
+from ..model.springs import ROWS_KEPT
 from ..session.data import Session
 from ..typing import Array, BoolArray
 from .absolute import base_terms, completed, near_pairs, noted, repeating, with_better_joints
@@ -142,8 +143,8 @@ def observe_with_force_noise(
     Args:
         lasting: see `outliers.treated`. sag_share: see `Model.sag_share`.
     """
-    session = _with_notes(with_better_joints(session))
-    first = treated(observe(session).seeing(sag_share), terms, lasting)
+    whole = _whole(session).seeing(sag_share)
+    first = treated(whole, terms, lasting)
     if session.kind == "absolute":
         found, _ = fitted(terms, first)
         residual = first.y - first.of(total_displacement(found, first.scene))
@@ -152,7 +153,19 @@ def observe_with_force_noise(
     if session.noise.force_n <= 0.0 or not any(t.effect.elastic for t in terms):
         return first
     springs, _ = fitted([t for t in terms if t.effect.elastic], first)
-    return again(observe(session, elastic_response(springs, first.scene).compliance[:, :, :3]).seeing(sag_share), first)
+    return again(whole.with_force_noise(elastic_response(springs, first.scene).compliance[:, :, :3]), first)
+
+
+def _whole(session: Session) -> Observation:
+    """The observation of all rows of a session, with what is assumed of it in its notes. Many models are fitted to one session,
+    and what springs of the arm do in its rows is the same for all: so a session that is not large keeps it."""
+    known = session.kept.get("observation")
+    if isinstance(known, Observation):
+        return known
+    whole = observe(_with_notes(with_better_joints(session)))
+    if len(session) <= ROWS_KEPT:
+        session.kept["observation"] = whole
+    return whole
 
 
 def _with_notes(session: Session) -> Session:

@@ -66,7 +66,7 @@ class Observation:
 
     def seeing(self, sag_share: float) -> Observation:
         """The same where it sees this share of what the arm sags on the way from the reference (`View.sags`), if any at all."""
-        if self.session.kind != "loaded" or self.session.contact is not None:
+        if self.session.kind != "loaded" or self.session.contact is not None or self.scene.view.sags == sag_share:
             return self
         return replace(self, scene=replace(self.scene, view=replace(self.scene.view, sags=sag_share)))
 
@@ -74,6 +74,12 @@ class Observation:
         """The same rows, each counting as much less as its weight says, (m,)."""
         whiten = replace(self.whiten, sigma=self.whiten.sigma * np.sqrt(self.weight / weight))
         return replace(self, whiten=whiten, weight=np.asarray(weight, dtype=float))
+
+    def with_force_noise(self, compliance: Array) -> Observation:
+        """The same with the force sensor's noise carried through the springs: compliance is the displacement of the marker by
+        force, of all rows of the session, (n, 3, 3), m/N."""
+        through_springs = self.session.noise.force_n**2 * np.einsum("nij,nij->n", compliance, compliance) / 3.0
+        return replace(self, whiten=_whitening(self.session, self.scene, self.rows, through_springs))
 
     def of(self, displacement: Array) -> Array:
         """What the observed rows see of a displacement per session row: (n, 3[, p]) -> (m, 3[, p])."""
@@ -89,12 +95,8 @@ def beyond_controller(session: Session, scene: Scene) -> Array:
     return np.asarray(p_measured - marker_by_controller(session, scene.kin))
 
 
-def observe(session: Session, compliance: Array | None = None) -> Observation:
-    """Build the observation of a session.
-
-    Args:
-        session: any session.
-        compliance: displacement of the marker by force, (n, 3, 3), m/N: where given, the force sensor's noise is propagated too.
+def observe(session: Session) -> Observation:
+    """Build the observation of a session, at the noise of the instrument that measures positions.
 
     Raises:
         SolveError: no row can be used.
@@ -121,16 +123,17 @@ def observe(session: Session, compliance: Array | None = None) -> Observation:
         if not len(rows):
             raise SolveError(f"{session.path or session.name}: the marker was not seen in any row")
     y = scene.change(difference)[rows]
-    variance = position_sigma(session) ** 2
-    if compliance is not None:
-        variance = variance + session.noise.force_n**2 * np.einsum("nij,nij->n", compliance, compliance) / 3.0
-    sigma = np.sqrt(variance)
-    if session.kind == "loaded":
-        whiten = Whitening(sigma[rows], sigma[scene.reference[rows]], scene.reference[rows])
-    else:
-        whiten = Whitening(sigma[rows], np.zeros(len(rows)), session.pose[rows])
+    whiten = _whitening(session, scene, rows)
     plain = Observation(session, scene, rows, y, session.pose[rows], whiten)
     return plain if session.contact is None else _held_by_contact(plain, session.contact)
+
+
+def _whitening(session: Session, scene: Scene, rows: IntArray, more: Array | float = 0.0) -> Whitening:
+    """Noise of the observed rows; more: variance beside that of the tracker, of all rows of the session, (n,), m^2."""
+    sigma = np.sqrt(position_sigma(session) ** 2 + more)
+    if session.kind == "loaded":
+        return Whitening(sigma[rows], sigma[scene.reference[rows]], scene.reference[rows])
+    return Whitening(sigma[rows], np.zeros(len(rows)), session.pose[rows])
 
 
 def _held_by_contact(plain: Observation, contact: Contact) -> Observation:

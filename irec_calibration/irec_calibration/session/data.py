@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -168,6 +169,11 @@ class Session:
 
     def __len__(self) -> int:
         return len(self.pose)
+
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What functions of this session keep for the next call, by a name of their own."""
+        return {}
 
     @property
     def marker_seen(self) -> BoolArray:
