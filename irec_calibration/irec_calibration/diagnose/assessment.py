@@ -127,7 +127,7 @@ def assess(
         elif strongest > settings.nats_for_structure:  # they may be bad readings as well, and are to be looked at
             rest = bad
     if not evidence and built.closest is not None:
-        if one_cause_of_bad_rows(final, built.closest, built.family, settings):
+        if one_cause_of_bad_rows(start, final, built.closest, built.family, settings):
             evidence.append("few_poses")
     one_of, names = [], []
     for i in final.ids:

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 
 from .candidates import Option, Trial, options, try_option
 from .evidence import Block, Ground
-from .explanation import Explanation, explain, reshaped_again
+from .explanation import Explanation, explain, reshaped_again, without
 from .family import Family
 from .forms import bends, forms_of
 from .level import family_in_view
-from .naming import proven, pruned, refused, standing
+from .naming import needed, odds_of, proven, pruned, refused, standing
 from .readings import by_readings
 from .remainder import grow
 from .rivals import Check, rivals_of
@@ -71,21 +71,26 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
     while len(steps[-1].added) < settings.most_names:
         check()
         current = steps[-1]
-        tried = step(start, current, found, family, trials if len(steps) == 1 else None, check, settings)
-        singles = singles or tried
+        known = trials if len(steps) == 1 else None
+        waiting = _waiting(current, found)
         taken = None
-        for one in tried:
-            why, odds = refused(start, current, one, family, settings)
-            if not why:
-                taken = one
-                evidence[one.ids[-1]] = odds
-                least = one.log_evidence - 2.0 * settings.nats_to_separate
-                near[one.ids[-1]] = {t.ids[-1]: t for t in tried if t is not one and t.log_evidence > least}
+        for chosen in ([o for o in found if o.effect.id not in waiting], *([found] if waiting else ())):
+            tried = step(start, current, chosen, family, known, check, settings)
+            singles = singles or tried
+            for one in tried:
+                why, odds = refused(start, current, one, family, settings)
+                if not why:
+                    taken = one
+                    evidence[one.ids[-1]] = odds
+                    least = one.log_evidence - 2.0 * settings.nats_to_separate
+                    near[one.ids[-1]] = {t.ids[-1]: t for t in tried if t is not one and t.log_evidence > least}
+                    break
+                if closest is None or one.named > closest.named:
+                    closest, reason = one, why
+            if taken is not None:
                 break
-            if closest is None or one.named > closest.named:
-                closest, reason = one, why
         if taken is None:
-            both = two_together(start, current, trials if len(steps) == 1 else None, found, family, check, settings)
+            both = two_together(start, current, known, found, family, check, settings)
             if both is None:
                 break
             taken, odds_of_both = both
@@ -101,15 +106,44 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
                 break
             steps.append(less)
     final, evidence = proven(start, steps, family, settings)
-    gone = [i for i in steps[-1].ids if i not in final.ids]
+    gone = _in_their_place(start, steps[-1], final.ids, family, settings)
     if final is not steps[-1]:
         closest, reason = steps[-1], "it is no stronger than the structure that no effect explains"
         steps = [s for s in steps if set(s.ids) < set(final.ids)] + [final]
     rivals = rivals_of(start, steps[-1], near, gone, found, family, check, settings)
+    for _ in final.ids:
+        likelier = [(o, b) for o, b in rivals.likelier if not any(set(s.ids) == set(o.ids) for s in steps)]
+        one, bare = next(((o, b) for o, b in likelier if not refused(start, b, o, family, settings)[0]), (None, None))
+        if one is None or bare is None:
+            break
+        new, old = one.ids[-1], next(i for i in steps[-1].ids if i not in bare.ids)
+        evidence = {i: evidence[i] for i in bare.ids} | {new: odds_of(start, one, bare, new, family, settings)}
+        gone = [*(i for i in gone if i != new), old]
+        steps.append(one)
+        rivals = rivals_of(start, one, near, gone, found, family, check, settings)
     beyond = tuple(t for t in tried if set(t.ids[:-1]) == set(steps[-1].ids))
     return Built(
-        start, family, trials, skipped, tuple(singles), tuple(steps), evidence, closest, reason, rivals, tuple(found), beyond
+        start, family, trials, skipped, tuple(singles), tuple(steps), evidence, closest, reason, rivals.of, tuple(found), beyond
     )
+
+
+def _in_their_place(
+    start: Explanation, whole: Explanation, names: Sequence[str], family: Family, settings: Settings
+) -> list[str]:
+    """Effects of a model that are not named in the end, where they might do for one that is; none where each name holds beside
+    all of them: then each explains something else."""
+    gone = [i for i in whole.ids if i not in names]
+    if not gone:
+        return []
+    bare = {i: without(start, whole, i, family) for i in names}
+    holds = (odds_of(start, whole, bare[i], i, family, settings) >= needed(whole, i, settings) for i in names)
+    return [] if all(holds) else gone
+
+
+def _waiting(current: Explanation, found: Sequence[Option]) -> set[str]:
+    """Effects that are weighed only beside another one (`Effect.beside`), which is possible and not in the model yet."""
+    absent = {o.effect.id for o in found} - {t.effect.id for t in current.study.terms}
+    return {o.effect.id for o in found if o.effect.beside in absent}
 
 
 def two_together(
@@ -149,18 +183,21 @@ def step(
 ) -> list[Explanation]:  # fmt: skip
     """The best effects on top of a model, fitted exactly, each with its remainder; best first."""
     open_ = [o for o in found if o.effect.id not in current.ids]
-    trials = _tried(current, found) if trials is None else trials
+    ids = {o.effect.id for o in open_}
+    trials = _tried(current, found) if trials is None else [t for t in trials if t.effect.id in ids]
     chosen = [t for t in trials[: settings.refits] if t.log_evidence > 1.0]
     if current.remainder.parts:
         more = _tried(current, found, current.remainder.block)
         known = {t.effect.id for t in chosen}
         chosen += [t for t in more[: settings.refits] if t.log_evidence > 1.0 and t.effect.id not in known]
-    # what the readings at the references have is tried whatever differences say by themselves
-    shown = [o for o in open_ if by_readings(current.study, o.effect)[0] > settings.nats_to_name]
+    # what the readings at the references have is tried whatever differences say by themselves, and so is what every robot has
+    kind = current.study.ready.kind
+    always = {o.effect.id for o in open_ if by_readings(current.study, o.effect)[0] > settings.nats_to_name}
+    always |= {t.effect.id for t in trials if kind in t.effect.everywhere and t.log_evidence > settings.nats_to_name}
     kept = _screened(current, chosen, family, settings)
     names = {t.effect.id for t in kept}
     out = []
-    for trial in (*kept, *(t for t in trials if t.effect.id in {o.effect.id for o in shown} - names)):
+    for trial in (*kept, *(t for t in trials if t.effect.id in always - names)):
         check()
         one = explain(start, current, trial, family)
         if one is not None:

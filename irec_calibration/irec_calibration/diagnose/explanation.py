@@ -164,12 +164,17 @@ def implausible(one: Explanation, effect_id: str) -> str:
         return not_read
     axial = (t for t in one.study.terms if t.effect.compliance_of is Axes.ACTUATED)
     compliance = {name: e.value for t in axial for name, e in t.estimates.items()}
-    return term.effect.against_springs({name: (e.value, e.se) for name, e in term.estimates.items()}, compliance)
+    return term.effect.why_impossible({name: (e.value, e.se) for name, e in term.estimates.items()}, compliance)
 
 
 def everywhere(one: Explanation, effect_id: str) -> bool:
-    """Whether every robot has an effect: it is preferred to a nonparametric structure that explains no more."""
-    return one.term(effect_id).effect.everywhere
+    """Whether every robot shows an effect in such a session: it is preferred to a structure that explains no more."""
+    return one.study.ready.kind in one.term(effect_id).effect.everywhere
+
+
+def of_axes(one: Explanation, effect_id: str) -> bool:
+    """Whether an effect is the springs of the axes: no arm is without, so that they are there needs no proof."""
+    return one.term(effect_id).effect.compliance_of is not None
 
 
 def in_one_pose(one: Explanation, effect_id: str) -> bool:

@@ -131,7 +131,7 @@ def improve(
         one = (shown.without_form or shown.after) if is_last else validated(session, [*base, *added.added[:n]])
         evidence = assessment.built.evidence.get(effect, float("nan"))
         rung = _rung(one, effect, evidence, rungs[-1].model, assessment.parts if is_last else {})
-        one_of = next((s for s in assessment.one_of if s[0] == effect), ())
+        one_of = next(((effect, *(i for i in s if i != effect)) for s in assessment.one_of if effect in s), ())
         rungs.append(replace(rung, one_of=one_of, named=not one_of))
     if shown.without_form is not None:
         rungs.append(_rung(shown.after, "+".join(shown.form), shown.form_evidence, rungs[-1].model, assessment.parts))

@@ -20,6 +20,7 @@ from .explanation import (
     everywhere,
     implausible,
     in_one_pose,
+    of_axes,
     own_forms,
     remainder_of,
     shown_by_readings,
@@ -27,7 +28,7 @@ from .explanation import (
 )
 from .family import Family
 from .form_errors import evidence_beside
-from .forms import NO_FORMS, Forms, bends, forms_of
+from .forms import NO_FORMS, Forms, bends, forms_of, steps
 from .held_out import held_out, only_good_poses
 from .lasting import lasts
 from .readings import against, along_readings
@@ -36,7 +37,7 @@ from .settings import Settings
 
 def refused(start: Explanation, current: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[str, float]:
     """Why an effect is not named on top of a model, or an empty string; and its evidence over any nonparametric structure."""
-    odds = odds_of(one, current, one.ids[-1], family, settings)
+    odds = odds_of(start, one, current, one.ids[-1], family, settings)
     if len(start.study.bench.poses) < settings.fewest_poses:
         return "there are too few poses to test it on others", odds
     if odds < needed(one, one.ids[-1], settings):
@@ -62,7 +63,9 @@ def refused(start: Explanation, current: Explanation, one: Explanation, family: 
     return "", odds
 
 
-def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings) -> float:
+def odds_of(
+    start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings
+) -> float:
     """What is to be held against `needed`: the evidence of a name over a model without it, or over any nonparametric structure in
     its place, whichever falls shorter of what is asked of it.
 
@@ -99,7 +102,7 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
     in_place, left = beside(replace(forms, tilts=law))
     odds = own + left - in_place
     may_be_as_weak = settings.nats_to_separate + settings.nats_to_name
-    if everywhere(one, effect_id):
+    if of_axes(one, effect_id):
         # to be there it needs no more than to explain as well as what has no name (nothing that is not told apart from it speaks
         # against it); to be of a size that shows, evidence of its own
         return min(odds + may_be_as_weak, own)
@@ -127,7 +130,30 @@ def odds_of(one: Explanation, bare: Explanation, effect_id: str, family: Family,
         odds -= settings.share_of_form * max(in_place - left, 0.0)
     if in_one_pose(one, effect_id):
         return odds
+    odds = max(odds, with_others_by_step(start, one, bare, effect_id, family))
     return max(odds, min(odds + needed(one, effect_id, settings) - settings.nats_over_structure, own))
+
+
+def with_others_by_step(start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family) -> float:
+    """Evidence of an effect of the step just made, over its absence and, together with the others that turn the same axes by that
+    step, over any curves of it in the place of all of them; -inf where there are no others.
+
+    Each by itself is told from a curve by little where another one is there: the curve of an axis that settles and has friction
+    has both. Together they have to be better than any smooth curve.
+    """
+    scene = one.study.ready
+    mine = steps(one.term(effect_id), scene)
+    others = [t.effect.id for t in one.added if t.effect.id != effect_id and steps(t, scene) & mine]
+    if not others:
+        return -np.inf
+    curves = Forms(steps=mine.union(*(steps(one.term(i), scene) for i in others)))
+    with_all = one.named + remainder_of(one.study, family, one.remainder.parts, curves).gained
+    absent = bare.named + remainder_of(bare.study, family, one.remainder.parts, curves).gained
+    none = bare
+    for i in others:
+        none = without(start, none, i, family)
+    instead = none.named + max(remainder_of(none.study, family, one.remainder.parts).gained, none.remainder.gained)
+    return min(with_all - absent, with_all - instead)
 
 
 def pruned(start: Explanation, one: Explanation, family: Family, settings: Settings) -> Explanation:
@@ -135,7 +161,7 @@ def pruned(start: Explanation, one: Explanation, family: Family, settings: Setti
     while len(one.added) > 1:
         for effect_id in one.ids[:-1]:
             bare = without(start, one, effect_id, family)
-            if odds_of(one, bare, effect_id, family, settings) < settings.nats_to_name:
+            if odds_of(start, one, bare, effect_id, family, settings) < settings.nats_to_name:
                 one = bare
                 break
         else:
@@ -169,7 +195,7 @@ def standing(start: Explanation, one: Explanation, family: Family, settings: Set
         left = feigned(one)
         everything = max(start.study.bench.posterior(start.study.base).chi2 - one.chi2, 1e-9)
         bare = {i: without(start, one, i, family) for i in one.ids}
-        evidence = {i: odds_of(one, b, i, family, settings) for i, b in bare.items()}
+        evidence = {i: odds_of(start, one, b, i, family, settings) for i, b in bare.items()}
         share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
         surely = {i for i in one.ids if everywhere(one, i) or shown_by_readings(one, i)}
         least = {i: needed(one, i, settings) + (0.0 if i in surely else left[i]) for i in one.ids}
@@ -189,7 +215,9 @@ def _beside_larger(one: Explanation, effect_id: str, share: dict[str, float], se
     return evidence_beside(one, effect_id, larger, settings) if larger else np.inf
 
 
-def one_cause_of_bad_rows(bare: Explanation, one: Explanation, family: Family, settings: Settings) -> bool:
+def one_cause_of_bad_rows(
+    start: Explanation, bare: Explanation, one: Explanation, family: Family, settings: Settings
+) -> bool:
     """Whether readings that stand out of a model follow one effect by far better than bad luck, at a size that can't be.
 
     Then they are not bad luck, and its form is not theirs.
@@ -198,21 +226,22 @@ def one_cause_of_bad_rows(bare: Explanation, one: Explanation, family: Family, s
     if not rows or in_one_pose(one, effect_id) or not implausible(one, effect_id):
         return False
     least = needed(one, effect_id, settings) + settings.nats_per_bad_row * len(rows)
-    return odds_of(one, bare, effect_id, family, settings) >= least
+    return odds_of(start, one, bare, effect_id, family, settings) >= least
 
 
 def needed(one: Explanation, effect_id: str, settings: Settings) -> float:
     """Evidence that a name needs where nothing else is left."""
-    if everywhere(one, effect_id):
+    if of_axes(one, effect_id):
         return settings.nats_to_name
     tails = settings.nats_per_bad_row * len(one.remainder.bad_rows)
     return tails + (settings.nats_in_one_pose if in_one_pose(one, effect_id) else settings.nats_to_name)
 
 
 def feigned(one: Explanation) -> dict[str, float]:
-    """How much of each name's evidence the structures that remain could feign: their own, as far as they move the marker alike.
+    """How much of each name's evidence the structures that remain could feign: what their displacement is worth along that of
+    the name, beside everything else in the model.
 
-    Likeness is the correlation of the two displacements beside everything else in the model.
+    That is their own evidence, which goes with squares, times the square of the correlation of the two displacements.
     """
     block, study = one.remainder.block, one.study
     x = study.bench.posterior(block).x
@@ -231,7 +260,7 @@ def feigned(one: Explanation) -> dict[str, float]:
         mine = ground.beside(block.A[:, columns] @ x[columns])
         forms = forms_of(one.term(effect_id), one.study.ready)
         others = [(p.log_evidence, v) for p, v in moved if not forms.has(p.structure)]
-        out[effect_id] = sum(e * abs(_cosine(mine, v)) for e, v in others)
+        out[effect_id] = sum(e * _cosine(mine, v) ** 2 for e, v in others)
     return out
 
 

@@ -75,7 +75,7 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
             known[effect_id] = sets.parts(names, near)
             if family is not None:
                 known[effect_id] = _beyond_structures(known[effect_id], sets, names, beside, family)
-            if term.effect.everywhere:  # every axis gives way: none is taken out for want of evidence
+            if term.effect.compliance_of:  # every axis gives way: none is taken out for want of evidence
                 said = known[effect_id]
                 known[effect_id] = replace(said, perhaps=tuple(n for n in present if n not in said.proven), one_of=())
                 continue

@@ -18,19 +18,19 @@ FACTOR_OF_FORM = 2.0  # within which it is known how large what completes the sp
 def choices(owners: Sequence[Effect]) -> Iterator[tuple[Array, Array]]:
     """Multiples of the prior widths to choose from by evidence, one set after the other, each (k, p), and log odds of each, (k,).
 
-    First the effects that every robot has, at all combinations of their levels, then every further effect by itself. How large
-    what completes the form of springs is, is known beforehand but for a factor; of the others nothing is.
+    First the springs of the axes, which every robot has, at all combinations of their levels, then every further effect by
+    itself. How large what completes the form of springs is, is known beforehand but for a factor; of the others nothing is.
 
     Args:
         owners: the effect of each parameter, (p,).
     """
     owner = np.array([e.id for e in owners])
-    everywhere = list(dict.fromkeys(e.id for e in owners if e.everywhere))
+    springs = list(dict.fromkeys(e.id for e in owners if e.compliance_of))
     levels = np.ones((1, len(owner)))
-    for name in everywhere:
+    for name in springs:
         levels = np.array([np.where(owner == name, level, row) for row in levels for level in LEVELS])
     yield levels, np.zeros(len(levels))
-    for effect in {e.id: e for e in owners if not e.everywhere}.values():
+    for effect in {e.id: e for e in owners if not e.compliance_of}.values():
         tried = np.array(LEVELS) if effect.completes else FACTORS
         odds = log_odds_of_form(tried) if effect.completes else np.zeros(len(tried))
         yield np.where(owner == effect.id, tried[:, None], 1.0), odds

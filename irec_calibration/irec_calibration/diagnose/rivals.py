@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 from ..effects.traits import Family as Alike
 from .candidates import Option, try_option
@@ -19,10 +20,24 @@ from .settings import Settings
 Check = Callable[[], None]
 
 
+@dataclass(frozen=True)
+class Rivals:
+    """What would do in the place of names.
+
+    Attributes:
+        of: added effect -> others and the odds against each, nats; below `nats_to_prefer` the name is one of several.
+        likelier: models in which another effect stands in a name's place and explains the session better by more than what is not
+            told apart, each with the model without either; the likeliest first.
+    """
+
+    of: dict[str, tuple[tuple[str, float], ...]] = field(default_factory=dict)
+    likelier: tuple[tuple[Explanation, Explanation], ...] = ()
+
+
 def rivals_of(
     start: Explanation, final: Explanation, near: dict[str, dict[str, Explanation]], gone: Sequence[str], found: Sequence[Option],
     family: Family, check: Check, settings: Settings,
-) -> dict[str, tuple[tuple[str, float], ...]]:  # fmt: skip
+) -> Rivals:  # fmt: skip
     """Which other effects would do in the place of each added one, everything refitted.
 
     Two laws of an axis' torque (play, stiffening, friction, counterbalance) are told apart by what is told apart otherwise
@@ -33,11 +48,9 @@ def rivals_of(
     Args:
         near: added effect -> effects that were about as good when it came in, each with its explanation then.
         gone: effects that were taken in and are no longer.
-
-    Returns:
-        added effect -> others and the odds against each, nats; below `nats_to_prefer` the name is one of several.
     """
     out = {}
+    likelier: list[tuple[float, Explanation, Explanation]] = []
     by_id = {o.effect.id: o for o in found}
     for term in final.added:
         others: dict[str, Explanation | None] = {i: e for i, e in near.get(term.effect.id, {}).items() if i not in final.ids}
@@ -95,9 +108,11 @@ def rivals_of(
             # what has no name may tell them apart no better than they do themselves
             if odds < settings.nats_to_separate or counts < settings.nats_to_prefer:
                 same.append((other, counts))
+                if raw < -settings.nats_to_separate and one.term(other).effect.beside != term.effect.id:
+                    likelier.append((raw, one, bare))
         if same:
             out[term.effect.id] = tuple(sorted(same, key=lambda t: t[1]))
-    return out
+    return Rivals(out, tuple((one, bare) for _, one, bare in sorted(likelier, key=lambda t: t[0])))
 
 
 def as_they_count(odds: float, own: float, law: bool, settings: Settings) -> float:

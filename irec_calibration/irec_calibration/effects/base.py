@@ -106,12 +106,14 @@ class Effect(ABC):
         registers: places instruments of an absolute session; belongs to the session, not to the robot.
         evidence: where a session shows it.
         family: effects that pass for each other; None: not known (effects of users).
-        everywhere: every robot has it, only its size is not known: the level of its prior is set by the session, and no part is
-            taken out for want of evidence.
+        everywhere: kinds of session in which every robot has it and shows it, only its size is not known.
+        beside: id of an effect that a robot which has this one has too: weighed beside that one first, and by itself only where
+            that one does not come in.
         completes: id of an effect that every robot has and whose form it completes: never named as a cause, but weighed beside it
             in every diagnosis, so that what it does passes for no other.
         obsolete: patterns of parameter names that models of an earlier form had; such a model is refused, not misread.
-        compliance_of: its parameters are the compliances of these axes; None: they are something else.
+        compliance_of: its parameters are the compliances of these axes; None: they are something else. The level of their prior
+            is set by the session, and no axis is taken out for want of evidence.
         by_angle: the compliance of its axes goes with their own angle, in one form of many.
         turns_by_angle: turns each axis by a law of its own angle, whatever the load.
         chosen_by_poses: in an absolute session it gets, without values, those parameters that the poses determine.
@@ -130,7 +132,8 @@ class Effect(ABC):
     registers: ClassVar[bool] = False
     evidence: ClassVar[Evidence] = Evidence.DISPLACEMENTS
     family: ClassVar[Family | None] = None
-    everywhere: ClassVar[bool] = False
+    everywhere: ClassVar[tuple[str, ...]] = ()
+    beside: ClassVar[str] = ""
     completes: ClassVar[str] = ""
     compliance_of: ClassVar[Axes | None] = None
     by_angle: ClassVar[bool] = False
@@ -186,8 +189,8 @@ class Effect(ABC):
         """How much more likely (less: negative) the effect is than others before a session is seen, natural log."""
         return 0.0
 
-    def against_springs(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
-        """Why fitted values can't be beside the compliances of the axes in the same model, in words; empty where they can.
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
+        """Why fitted values can't be, by themselves or beside the compliances of the axes in the model; empty where they can.
 
         Args:
             values: parameter -> value and standard error; compliance: `c_k` -> compliance of axis k, rad/(N m).

@@ -59,6 +59,8 @@ class BaseCompliance(Effect):
         "reach. Rotation about the base z axis is the same as torsion of axis 1."
     )
     family = Family.SPRING
+    everywhere = ("absolute",)  # there the weight of the arm tilts it, whatever it stands on
+    beside = "joint_torsion"
     elastic = True
     needs = ("load",)
 

@@ -43,7 +43,7 @@ class Counterbalance(Effect):
         angle = scene.q[:, None, AXIS]
         return np.stack([axis_2 * np.sin(angle), axis_2 * np.cos(angle)], axis=2)
 
-    def against_springs(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
         own = compliance.get(f"c_{AXIS + 1}")
         (a, a_se), (b, b_se) = values.get("a", (0.0, 0.0)), values.get("b", (0.0, 0.0))
         most = math.hypot(a, b)

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..robot.ratings import rated_torque
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .live import ColumnLaw, LiveForm, Tick, drives
-from .scales import comes_near_zero, rated_torque
+from .scales import comes_near_zero
 from .scene import Scene
 from .traits import Ageing, Family
 

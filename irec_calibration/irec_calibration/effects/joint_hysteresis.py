@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..robot.ratings import rated_torque
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import ColumnLaw, LeftOut, LiveForm, Tick, drives
-from .scales import largest_lag, rated_torque, typical_compliance
+from .scales import largest_lag, typical_compliance
 from .scene import Scene
 from .traits import Family
 from .travel import travel_to_reference

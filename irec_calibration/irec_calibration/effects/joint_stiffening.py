@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..robot.ratings import rated_torque
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .joint_backlash import WIDEST
 from .live import ColumnLaw, LiveForm, Springs, Tick, drives
-from .scales import comes_near_zero, rated_torque, typical_compliance
+from .scales import comes_near_zero, typical_compliance
 from .scene import Scene
 from .traits import Family
 

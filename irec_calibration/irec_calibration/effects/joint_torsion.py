@@ -26,7 +26,7 @@ class JointTorsion(Effect):
         "Eq. (11). Part of every model; without it the whole deflection is left over."
     )
     family = Family.SPRING
-    everywhere = True
+    everywhere = ("loaded", "absolute")
     elastic = True
     compliance_of = Axes.ACTUATED
 

@@ -28,7 +28,8 @@ class LinkBending(Effect):
         "directions that no axis can produce."
     )
     family = Family.SPRING
-    everywhere = True
+    everywhere = ("loaded", "absolute")
+    beside = "joint_torsion"
     elastic = True
     compliance_of = Axes.VIRTUAL
 

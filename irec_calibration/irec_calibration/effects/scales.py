@@ -3,57 +3,19 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from ..robot import Robot
+from ..robot.ratings import rated_torque
 from ..typing import Array, BoolArray
 from .scene import Scene
 
 TWIST_AT_RATED_TORQUE = 1e-3  # rad; heavy and light robots alike twist 0.2 .. 2 mrad per joint at their drives' limit
-RATED_OVER_GRAVITY = 2.0  # a drive that is rated for its arm carries about twice what gravity asks of it at worst
-POSTURES = 64
-SMALLEST_SHARE = 1e-3  # of the strongest joint's torque: a joint that gravity hardly loads is still a drive
 STIFFER_THAN = 100.0  # times the typical compliance: more is no gear
 TWIST_UNDER_OWN_WEIGHT = 0.02  # rad; light arms on soft drives or soft servos sag that much, none more
 LAG = 3e-3  # rad; friction of a sound gear and servo
 LAG_OVER_REPEATABILITY = 5.0  # what the side from which a joint came moves the tool by, over one standard deviation of the rest
 NEAR = 1.5  # times the range over which a law of torque bends: tanh is at 0.9 there
-WITHOUT_MASSES = 1000.0  # N m, where the robot description gives neither efforts nor masses: nothing is known
-
-
-def rating_known(robot: Robot) -> BoolArray:
-    """Joints whose torque limit the description gives, (k,); 0 means that it is not known."""
-    effort = np.asarray(robot.effort, dtype=float)
-    found: BoolArray = np.isfinite(effort) & (effort > 0.0)
-    return found
-
-
-@lru_cache(maxsize=16)
-def rated_torque(robot: Robot) -> Array:
-    """Torque limit of each joint, (k,), N m (N where it slides).
-
-    Where the robot description gives none (`effort="0"` means that it is not known), twice the largest torque that gravity exerts
-    in any direction over a fixed set of postures. It depends on the robot alone, so that a share of it in a model means the same
-    in every session.
-    """
-    effort = np.asarray(robot.effort, dtype=float)
-    known = rating_known(robot)
-    if not known.all():
-        by_gravity = _worst_gravity_torque(robot)
-        largest = float(by_gravity.max())
-        guess = np.maximum(by_gravity, SMALLEST_SHARE * largest) if largest > 0.0 else np.full(len(effort), WITHOUT_MASSES)
-        effort = np.where(known, effort, guess)
-    effort.setflags(write=False)
-    return effort
-
-
-def _worst_gravity_torque(robot: Robot) -> Array:
-    lower, upper = np.clip(robot.lower, -np.pi, np.pi), np.clip(robot.upper, -np.pi, np.pi)
-    q = np.random.default_rng(0).uniform(lower, np.maximum(upper, lower), (POSTURES, robot.n_joints))
-    torque = [np.abs(robot.gravity_torque(q, tuple(9.81 * e))).max(axis=0) for e in np.eye(3)]
-    return RATED_OVER_GRAVITY * np.max(torque, axis=0)
 
 
 def typical_compliance(robot: Robot) -> Array:

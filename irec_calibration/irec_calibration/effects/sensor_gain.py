@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..typing import Array
@@ -13,6 +15,7 @@ from .traits import Family
 
 NAMES = ("e_xx", "e_yy", "e_xy", "e_xz", "e_yx", "e_yz", "e_zx", "e_zy")
 LIMIT = 0.5
+LEAST_BESIDE_TURNING = 0.1  # of the turning part, that E has besides: axes that read each other by chance don't turn the force
 
 
 def crosstalk(theta: Array) -> Array:
@@ -36,6 +39,14 @@ class SensorGain(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         # a bridge or an amplifier that fails loses as much of a channel as this, so nothing within the bounds is implausible
         return tuple(Parameter(n, "1", 0.03, -LIMIT, LIMIT, group="gain" if n in ("e_xx", "e_yy") else n) for n in NAMES)
+
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
+        E = crosstalk(np.array([values.get(n, (0.0, 0.0))[0] for n in NAMES]))
+        turns, rest = np.linalg.norm(E - E.T) / 2.0, np.linalg.norm(E + E.T) / 2.0
+        if turns == 0.0 or rest >= LEAST_BESIDE_TURNING * turns:
+            return ""
+        angle = turns / np.sqrt(2.0)
+        return f"it turns the force by {angle:.3g} rad and changes it by less than a tenth of that: a turned sensor"
 
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
         return scene.force_in_tool @ (np.eye(3) + crosstalk(theta)).T, scene.torque_in_tool

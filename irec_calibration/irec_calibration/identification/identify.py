@@ -14,9 +14,9 @@ import numpy as np
 
 from ..effects import find_effect
 from ..effects.disc_compliance import DiscCompliance
-from ..effects.scales import rated_torque, rating_known
 from ..model import EIGHTEEN_DOF, Combination, Term, blank_model, elastic_response, total_displacement
 from ..model.springs import ROWS_KEPT
+from ..robot.ratings import rated_torque, rating_known
 from ..session.data import Session
 from ..typing import Array, BoolArray
 from .absolute import base_terms, completed, near_pairs, noted, repeating, with_better_joints

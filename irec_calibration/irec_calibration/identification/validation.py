@@ -23,7 +23,7 @@ ESTIMATOR = (
     "bounded weighted least squares with weak priors, at the noise that the session shows; held out: each pose predicted from all"
     " others"
 )
-RIDGE = 1e-9  # relative to the largest diagonal entry: makes the solution unique along unobserved directions
+RIDGE = 1e-9  # relative to the diagonal entry: makes the solution unique along unobserved directions
 # The same for parameters of absolute sessions that have a prior, for rounding only. There a station that turns moves the marker
 # by far more than what is asked about, and a ridge by its size would hold that back.
 ROUNDING = 1e-13
@@ -56,10 +56,13 @@ class HeldOut:
 def floored(precision: Array, G: Array, rounding: float = RIDGE) -> Array:
     """Precision of normal priors, (..., p), with what makes a problem of the Gram matrix G, (p, p), solvable.
 
+    That of a parameter rests on its own column only: were it relative to the largest of all columns, those of one effect would
+    narrow the priors of all other parameters, and models with and without it would not be compared on the same terms.
+
     Args:
-        rounding: least precision of parameters that have a prior, relative to the largest diagonal entry; RIDGE for the others.
+        rounding: least precision of parameters that have a prior, relative to their own diagonal entry; RIDGE for the others.
     """
-    floor = np.where(precision > 0.0, rounding, RIDGE) * max(float(G.diagonal().max(initial=0.0)), 1e-30)
+    floor = np.where(precision > 0.0, rounding, RIDGE) * np.maximum(G.diagonal(), 1e-30)
     return np.asarray(np.maximum(precision, floor))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..cell import Cell
 from ..effects.joint_backlash import TAKEN_UP_OVER
-from ..effects.scales import rated_torque
+from ..robot.ratings import rated_torque
 from ..typing import Array, IntArray
 
 SHARE = sorted(TAKEN_UP_OVER)[1]  # of the rated torque; less than that to either side hardly shows play

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..robot.ratings import rated_torque
 from ..typing import Array, IntArray
 from .data import Session
 
@@ -113,10 +114,7 @@ def deflection(session: Session) -> Iterator[str]:
 
 def _typical(session: Session) -> Array:
     """Order of magnitude of each joint's compliance, rad/(N m): drives twist by about a milliradian at their rated torque."""
-    effort = np.asarray(session.robot.effort, dtype=float)
-    known = np.isfinite(effort) & (effort > 0.0)
-    fallback = float(np.median(effort[known])) if known.any() else 1000.0
-    return 1e-3 / np.where(known, effort, fallback)
+    return 1e-3 / rated_torque(session.robot)
 
 
 def _beside_springs(session: Session, rows: IntArray, reference: IntArray, moved: Array, force: Array) -> float:

@@ -21,7 +21,7 @@ def asked(monkeypatch: pytest.MonkeyPatch, odds: float, rows: int, beyond: str =
     bare: Any = SimpleNamespace(remainder=SimpleNamespace(bad_rows=(None,) * rows))
     one: Any = SimpleNamespace(ids=("joint_backlash",))
     family: Any = None
-    return naming.one_cause_of_bad_rows(bare, one, family, SETTINGS)
+    return naming.one_cause_of_bad_rows(bare, bare, one, family, SETTINGS)
 
 
 def test_each_reading_that_stands_out_asks_for_more_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,10 +74,11 @@ def odds_beside(
     monkeypatch.setattr(naming, "own_forms", lambda *_: forms)
     monkeypatch.setattr(naming, "bends", lambda *_: forms.axes)
     monkeypatch.setattr(naming, "remainder_of", remainder_of)
-    monkeypatch.setattr(naming, "everywhere", lambda *_: False)
+    monkeypatch.setattr(naming, "of_axes", lambda *_: False)
+    monkeypatch.setattr(naming, "with_others_by_step", lambda *_: -float("inf"))
     monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
     family: Any = None
-    return naming.odds_of(one, bare, effect_id, family, SETTINGS)
+    return naming.odds_of(bare, one, bare, effect_id, family, SETTINGS)
 
 
 def held(monkeypatch: pytest.MonkeyPatch, own: float, in_place: float, left: float = 0.0, rows: int = 0) -> float:

@@ -12,7 +12,7 @@ from irec_calibration.diagnose import start_terms
 from irec_calibration.diagnose.candidates import block_columns
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.effects import find_effect
-from irec_calibration.effects.scales import rated_torque
+from irec_calibration.robot.ratings import rated_torque
 
 
 @pytest.fixture(scope="module")

@@ -241,7 +241,15 @@ def test_a_balancer_can_take_no_more_than_its_axis_has():
     balancer = find_effect("counterbalance")
     sure = {"a": (3e-7, 1e-8), "b": (4e-7, 1e-8)}
     unsure = {"a": (3e-7, 1e-8), "b": (4e-7, 2e-7)}
-    assert balancer.against_springs(sure, {"c_2": 6e-7}) == ""
-    assert "5e-07 rad/(N m)" in balancer.against_springs(sure, {"c_2": 2e-7})
-    assert balancer.against_springs(unsure, {"c_2": 2e-7}) == ""
-    assert balancer.against_springs(sure, {}) == ""
+    assert balancer.why_impossible(sure, {"c_2": 6e-7}) == ""
+    assert "5e-07 rad/(N m)" in balancer.why_impossible(sure, {"c_2": 2e-7})
+    assert balancer.why_impossible(unsure, {"c_2": 2e-7}) == ""
+    assert balancer.why_impossible(sure, {}) == ""
+
+
+def test_a_crosstalk_that_only_turns_the_force_is_a_turned_sensor():
+    gain = find_effect("sensor_gain")
+    assert "0.15 rad" in gain.why_impossible({"e_xy": (0.147, 0.01), "e_yx": (-0.153, 0.01)}, {})
+    assert gain.why_impossible({"e_xy": (0.15, 0.01)}, {}) == ""
+    assert gain.why_impossible({"e_xy": (0.15, 0.01), "e_yx": (-0.1, 0.01)}, {}) == ""
+    assert gain.why_impossible({"e_xx": (0.02, 0.01)}, {}) == ""

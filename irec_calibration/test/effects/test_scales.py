@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
-from irec_calibration.effects.scales import WITHOUT_MASSES, rated_torque
 from irec_calibration.errors import ModelError
 from irec_calibration.model import Estimate, Model, Term
 from irec_calibration.robot import Robot
+from irec_calibration.robot.ratings import WITHOUT_MASSES, rated_torque
 from synthetic import EFFORT, session, urdf
 
 NO_EFFORT = re.sub(r'effort="\d+"', 'effort="0"', urdf())
@@ -29,6 +29,11 @@ def test_an_effort_of_zero_means_unknown_and_gravity_says_what_the_drives_must_c
     assert np.all(guessed > 0.0) and np.all(guessed[:3] > 2.0 * np.asarray(EFFORT[:3]) / 10) and guessed[1] > 20.0 * guessed[5]
     light = Robot(re.sub(r'mass value="([\d.]+)"', lambda m: f'mass value="{float(m[1]) / 100}"', NO_EFFORT))
     np.testing.assert_allclose(rated_torque(light), guessed / 100, rtol=1e-9)
+
+
+def test_one_effort_for_all_drives_was_filled_in_and_says_nothing():
+    guessed = rated_torque(Robot(NO_EFFORT))
+    np.testing.assert_array_equal(rated_torque(Robot(re.sub(r'effort="\d+"', 'effort="10000"', urdf()))), guessed)
 
 
 def test_one_known_effort_is_kept_beside_unknown_ones():

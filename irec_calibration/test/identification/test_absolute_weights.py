@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from absolute_sessions import SIX, session, torsion, urdf
 from irec_calibration.effects.of_session import scene_of
-from irec_calibration.effects.scales import rated_torque
 from irec_calibration.identification.absolute import base_terms
 from irec_calibration.identification.identify import fit, identify, observe_with_force_noise
 from irec_calibration.identification.observe import observe
 from irec_calibration.model import Estimate, blank_model
 from irec_calibration.robot import Robot
+from irec_calibration.robot.ratings import rated_torque
 from irec_calibration.session import Marker, Noise
 
 MARKERS = (
