@@ -65,7 +65,7 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
     start = Explanation((), study, 0.0, grow(study.bench, family, study.base))
     trials = tuple(_tried(start, found))
     singles: list[Explanation] = []
-    steps, evidence, near = [start], dict[str, float](), dict[str, dict[str, Explanation]]()
+    steps, evidence, near = [start], dict[str, float](), dict[str, dict[str, Explanation | None]]()
     closest, reason = None, ""
     tried: list[Explanation] = []
     while len(steps[-1].added) < settings.most_names:
@@ -113,12 +113,15 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
     rivals = rivals_of(start, steps[-1], near, gone, found, family, check, settings)
     for _ in final.ids:
         likelier = [(o, b) for o, b in rivals.likelier if not any(set(s.ids) == set(o.ids) for s in steps)]
-        one, bare = next(((o, b) for o, b in likelier if not refused(start, b, o, family, settings)[0]), (None, None))
-        if one is None or bare is None:
+        better = next((pair for pair in likelier if not refused(start, pair[1], pair[0], family, settings)[0]), None)
+        if better is None:
             break
+        one, bare = better
         new, old = one.ids[-1], next(i for i in steps[-1].ids if i not in bare.ids)
         evidence = {i: evidence[i] for i in bare.ids} | {new: odds_of(start, one, bare, new, family, settings)}
         gone = [*(i for i in gone if i != new), old]
+        # what would do for the one would do for the other
+        near[new] = {**{i: None for i, _ in rivals.of[old] if i != new}, **near.get(new, {})}
         steps.append(one)
         rivals = rivals_of(start, one, near, gone, found, family, check, settings)
     beyond = tuple(t for t in tried if set(t.ids[:-1]) == set(steps[-1].ids))

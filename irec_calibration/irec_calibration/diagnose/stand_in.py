@@ -19,7 +19,7 @@ from ..identification.validation import gain
 from ..model import Term
 from ..session.data import Session
 from .build import Built, step
-from .explanation import Explanation, everywhere, implausible, in_one_pose
+from .explanation import Explanation, implausible, in_one_pose
 from .held_out import Validated, held_out_beside, validated
 from .naming import needed
 from .parts import prune
@@ -47,8 +47,7 @@ def stand_ins(
     Where structure is left, each needs of its own what a name does: evidence over its absence, values that can be, and an error
     that falls on held-out poses. Only that nothing without a name explains as much is not asked. Where none is left, evidence is
     what it says, and an effect is taken in that is likelier there than not: of all sets of effects that one predicts best
-    (median probability model, Barbieri and Berger 2004). In absolute sessions, which have more that is neither named nor known to
-    move the tool, only what every robot has (`Effect.everywhere`).
+    (median probability model, Barbieri and Berger 2004).
 
     Args:
         after: the model without them, as people are shown it; check: raises where the work was cancelled.
@@ -85,7 +84,8 @@ def _best(
         term = next(t for t in prune(one.study, (effect_id,)).study.terms if t.effect.id == effect_id)
         made = validated(session, (*before.study.terms, Term(term.effect, term.estimates)))
         mean, se, _ = gain(before.held_out, held_out_beside(before.study, made.study))
-        confirmed = made.study.fit.rms < before.study.fit.rms  # a fit need not reach what the linear problem promises
+        # a fit need not reach what the linear problem promises
+        confirmed = made.study.fit.rms < before.study.fit.rms and made.held_out.rms_m < before.held_out.rms_m
         if confirmed and np.isfinite(mean) and mean > sigmas * se:
             return one, StandIn(effect_id, one.named - current.named, made)
     return None
@@ -99,7 +99,6 @@ def _least(current: Explanation, one: Explanation, settings: Settings) -> float:
 def _may(one: Explanation) -> bool:
     """Whether predictions have an effect, at values that can be, and more than one pose shows it."""
     effect_id = one.ids[-1]
-    kind = one.study.session.kind
-    if not is_predicted(find_effect(effect_id).cause, kind) or (kind == "absolute" and not everywhere(one, effect_id)):
+    if not is_predicted(find_effect(effect_id).cause, one.study.session.kind):
         return False
     return not in_one_pose(one, effect_id) and not implausible(one, effect_id)

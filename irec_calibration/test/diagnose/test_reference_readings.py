@@ -137,4 +137,4 @@ def test_no_structure_is_a_rival_of_what_readings_carry() -> None:
     family = family_of(study)
     bare = Explanation((), prepare(study.session, start_terms(study.session)).to_weigh, 3.0, one.remainder)
     along = along_readings(bare.study, fitted.effect)
-    assert odds_of(one, bare, "tracker_scale", family, SETTINGS) == pytest.approx(max(17.0, along) + shown)
+    assert odds_of(bare, one, bare, "tracker_scale", family, SETTINGS) == pytest.approx(max(17.0, along) + shown)
