@@ -192,7 +192,7 @@ def proven(
 def standing(start: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[Explanation, dict[str, float]]:
     """A model whose weakest name was taken out until all stand, and the evidence of each."""
     while one.added:
-        left = feigned(one)
+        left = feigned(one, settings)
         everything = max(start.study.bench.posterior(start.study.base).chi2 - one.chi2, 1e-9)
         bare = {i: without(start, one, i, family) for i in one.ids}
         evidence = {i: odds_of(start, one, b, i, family, settings) for i, b in bare.items()}
@@ -237,11 +237,12 @@ def needed(one: Explanation, effect_id: str, settings: Settings) -> float:
     return tails + (settings.nats_in_one_pose if in_one_pose(one, effect_id) else settings.nats_to_name)
 
 
-def feigned(one: Explanation) -> dict[str, float]:
+def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
     """How much of each name's evidence the structures that remain could feign: what their displacement is worth along that of
     the name, beside everything else in the model.
 
-    That is their own evidence, which goes with squares, times the square of the correlation of the two displacements.
+    That is their own evidence, which goes with squares, times the square of the correlation of the two displacements; at least
+    what the form of a structure, which is not quite that of its cause, leaves to any other (`share_feigned`).
     """
     block, study = one.remainder.block, one.study
     x = study.bench.posterior(block).x
@@ -260,7 +261,7 @@ def feigned(one: Explanation) -> dict[str, float]:
         mine = ground.beside(block.A[:, columns] @ x[columns])
         forms = forms_of(one.term(effect_id), one.study.ready)
         others = [(p.log_evidence, v) for p, v in moved if not forms.has(p.structure)]
-        out[effect_id] = sum(e * _cosine(mine, v) ** 2 for e, v in others)
+        out[effect_id] = sum(e * max(_cosine(mine, v) ** 2, settings.share_feigned) for e, v in others)
     return out
 
 

@@ -35,8 +35,8 @@ class Rivals:
 
 
 def rivals_of(
-    start: Explanation, final: Explanation, near: dict[str, dict[str, Explanation | None]], gone: Sequence[str], found: Sequence[Option],
-    family: Family, check: Check, settings: Settings,
+    start: Explanation, final: Explanation, near: dict[str, dict[str, Explanation | None]], gone: Sequence[str],
+    found: Sequence[Option], family: Family, check: Check, settings: Settings,
 ) -> Rivals:  # fmt: skip
     """Which other effects would do in the place of each added one, everything refitted.
 

@@ -164,6 +164,10 @@ class Settings(Thresholds):
         0.03, "share of evidence", "of the nonparametric structures that a name replaces, that it must bring more than they do",
         "polynomials of the generic family lose that much where they stand for a cause of another form",
     )  # fmt: skip
+    share_feigned: float = threshold(
+        0.05, "share of evidence", "of a structure that has no name, that it may lend to any name, however unlike",
+        "more than `share_of_form`, by which structures miss a cause that they stand for",
+    )  # fmt: skip
     nats_for_structure: float = threshold(
         6.5, "nats", "evidence of the strongest such structure, the number tried taken off, that makes a session unexplained",
         "odds of 600: four kinds of structures are tried, so that noise passes for one in less than 1 % of clean sessions",

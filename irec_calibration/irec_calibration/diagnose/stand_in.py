@@ -18,12 +18,13 @@ from ..effects import find_effect, is_predicted
 from ..identification.validation import gain
 from ..model import Term
 from ..session.data import Session
-from .build import Built, step
+from .build import Built
 from .explanation import Explanation, implausible, in_one_pose
 from .held_out import Validated, held_out_beside, validated
 from .naming import needed
 from .parts import prune
 from .settings import SETTINGS, Settings
+from .tries import step
 
 
 @dataclass(frozen=True)

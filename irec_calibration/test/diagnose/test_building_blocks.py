@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import start_terms
-from irec_calibration.diagnose.build import laws_by_themselves
 from irec_calibration.diagnose.candidates import options, try_option
 from irec_calibration.diagnose.evidence import Ground
 from irec_calibration.diagnose.explanation import Explanation, explain, implausible, own_forms, without
@@ -23,6 +22,7 @@ from irec_calibration.diagnose.parts import without_columns
 from irec_calibration.diagnose.remainder import Part, grow
 from irec_calibration.diagnose.shape import reshaped
 from irec_calibration.diagnose.study import Study, prepare, study_of
+from irec_calibration.diagnose.tries import laws_by_themselves
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.scene import Scene
 from irec_calibration.identification.validation import gain
