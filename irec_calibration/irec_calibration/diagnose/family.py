@@ -44,7 +44,8 @@ class Structure:
         is_drift: it follows time or a temperature whatever the force, wherever it acts: what a drift may also be.
         largest: amplitude of its coefficients' prior that can be.
         is_bad_row: it moves a single row, a single reference or a single pose, or the reflector from some row on: bad readings,
-            no cause; rows: of the session, where they are single ones.
+            no cause; rows: of the session, where they are single ones; seated: marker and stamp of a reflector that is elsewhere
+            from there on.
     """
 
     variables: tuple[str, ...]
@@ -57,6 +58,7 @@ class Structure:
     is_tilt: bool = False
     is_bad_row: bool = False
     rows: tuple[int, ...] = ()
+    seated: tuple[int, float] | None = None
     by_step: bool = False
     is_drift: bool = False
     largest: float = np.inf
@@ -198,8 +200,8 @@ def with_bad_rows(family: Family, study: Study, *residuals: Array) -> Family:
         structures.append(Structure((), words, slice(at, at + own.shape[1]), tried, is_bad_row=True, rows=rows))
         columns.append(own.astype(family.A.dtype))
         at += own.shape[1]
-    for words, own, tried in _seated_anew(study, residuals):
-        structures.append(Structure((), words, slice(at, at + own.shape[1]), tried, is_bad_row=True))
+    for words, own, tried, seated in _seated_anew(study, residuals):
+        structures.append(Structure((), words, slice(at, at + own.shape[1]), tried, is_bad_row=True, seated=seated))
         columns.append(own.astype(family.A.dtype))
         at += own.shape[1]
     return Family(tuple(structures), np.concatenate(columns, axis=1))
@@ -232,10 +234,11 @@ def _bad_rows(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[str, A
             yield f"all of pose {session.pose[k]}", np.concatenate(each, axis=1), len(np.unique(key)), key == k
 
 
-def _seated_anew(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[str, Array, int]]:
+def _seated_anew(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[str, Array, int, tuple[int, float]]]:
     """A reflector that was seated anew on the tool in an absolute session: from some row on it is elsewhere in the tool frame.
 
-    Of each marker the moments at which the residual in the tool frame steps most; words, columns, how many moments there are.
+    Of each marker the moments at which the residual in the tool frame steps most; words, columns, how many moments there are,
+    marker and stamp.
     """
     if study.ready.kind != "absolute":
         return
@@ -260,7 +263,7 @@ def _seated_anew(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[str
             here = (marker == m) & (stamp >= stamp[row])
             of = f"reflector {session.markers[m].name} " if len(np.unique(marker)) > 1 else "the reflector "
             words = f"{of}seated anew at pose {observation.pose[row]}, elsewhere on the tool from there on"
-            yield words, _moved(study, here, R), n - 1
+            yield words, _moved(study, here, R), n - 1, (int(m), float(stamp[row]))
 
 
 def _moved(study: Study, rows: BoolArray, R: Array | None = None) -> Array:

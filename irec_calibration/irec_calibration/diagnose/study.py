@@ -14,7 +14,7 @@ from ..effects import Effect, Parameter, absent, known_effects
 from ..effects.scene import Scene
 from ..identification.absolute import completed, thinned
 from ..identification.gauss_newton import fitted
-from ..identification.identify import Fit, fit, observe_with_force_noise
+from ..identification.identify import Fit, fit, keep_seated_anew, observe_with_force_noise
 from ..identification.observe import Observation
 from ..identification.system import linearise
 from ..identification.validation import RIDGE, ROUNDING, floored
@@ -23,11 +23,13 @@ from ..session.data import Session
 from ..typing import Array
 from .evidence import Bench, Block, NoisePrior
 from .priors import LEVELS, choices, log_odds_of_form
+from .settings import SETTINGS
 
 if TYPE_CHECKING:
     from .remainder import Part, Remainder
 
 ROUGHLY = 1e-4  # relative fall of the loss at which springs are known well enough to set widths by them
+MOST_REFLECTORS = 20  # that are told apart, those that were seated anew counted each time
 ROUNDS = 2  # in which widths of priors follow the springs; a third changes them by less than a per cent
 
 
@@ -111,7 +113,8 @@ class Study:
 def prepare(session: Session, terms: Sequence[Term]) -> Study:
     """Fit a model to a session with weak priors whose level the session sets, and lay out the linear problem.
 
-    Rows that stand out beside the model and whatever else has structure count as little as they deserve.
+    Rows that stand out beside the model and whatever else has structure count as little as they deserve. A reflector that was
+    seated anew, by evidence beyond an accident's, is another one from there on.
 
     Raises:
         SolveError: the session can't be used with this model.
@@ -122,6 +125,11 @@ def prepare(session: Session, terms: Sequence[Term]) -> Study:
 
     observation = thinned(observe_with_force_noise(session, terms))
     found, bad, sure = with_inferred_level(observation, terms)
+    seated = [(p.log_evidence, p.structure.seated, p.structure.words) for p in bad if p.structure.seated]
+    surest, where, words = max(seated, default=(0.0, None, ""))
+    if where is not None and surest > SETTINGS.nats_of_accident and len(found.session.markers) < MOST_REFLECTORS:
+        keep_seated_anew(session, *where, words)
+        return prepare(session, terms)
     lasting = steps_left_out(found)
     if lasting:
         found, bad, sure = with_inferred_level(thinned(observe_with_force_noise(session, terms, lasting)), terms)

@@ -168,8 +168,13 @@ def _bad_rows(assessment: Assessment) -> list[str]:
     """Rows that stand out from all others; they count for nothing in the assessment."""
     left_out = [b.sentence for b in assessment.asked.observation.bad if b.is_left_out]
     beside = [p.structure.words for p in assessment.stand_out]
+    anew = [m.anew for m in assessment.asked.session.markers if m.anew]
     out = []
-    for begin, bad in (("Left out as plainly wrong", left_out), ("Readings that stand out and count for nothing here", beside)):
+    for begin, bad in (
+        ("Left out as plainly wrong", left_out),
+        ("Taken as another reflector", anew),
+        ("Readings that stand out and count for nothing here", beside),
+    ):
         if bad:
             more = f" and {len(bad) - ROWS_SHOWN} more" if len(bad) > ROWS_SHOWN else ""
             out.append(f"{begin}: {'; '.join(bad[:ROWS_SHOWN])}{more}.")

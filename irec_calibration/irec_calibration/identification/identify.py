@@ -162,10 +162,25 @@ def _whole(session: Session) -> Observation:
     known = session.kept.get("observation")
     if isinstance(known, Observation):
         return known
-    whole = observe(_with_notes(with_better_joints(session)))
+    whole = observe(session.kept.get("seated anew") or _with_notes(with_better_joints(session)))
     if len(session) <= ROWS_KEPT:
         session.kept["observation"] = whole
     return whole
+
+
+def keep_seated_anew(session: Session, marker: int, stamp: float, words: str) -> None:
+    """From now on take a reflector of a session as another one from a moment on, at which it was seated anew.
+
+    Args:
+        session: as it was read. words: what happened, for people.
+    """
+    as_used = _whole(session).session
+    one = as_used.markers[marker]
+    anew = replace(one, name=f"{one.name}, from {stamp:g} s on", known=False, anew=words)
+    later = (as_used.marker == marker) & (as_used.stamp >= stamp)
+    markers = (*as_used.markers, anew)
+    session.kept["seated anew"] = replace(as_used, markers=markers, marker=np.where(later, len(as_used.markers), as_used.marker))
+    session.kept.pop("observation", None)
 
 
 def _with_notes(session: Session) -> Session:

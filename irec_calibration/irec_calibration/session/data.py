@@ -48,12 +48,17 @@ class Station:
 
 @dataclass(frozen=True)
 class Marker:
-    """A tracker target fixed to a link (`tool0` or `base_link`); xyz in that link's frame, m."""
+    """A tracker target fixed to a link (`tool0` or `base_link`); xyz in that link's frame, m.
+
+    Attributes:
+        anew: of one that was seated anew in mid-session and counts as another one from there on: what happened, in words.
+    """
 
     name: str
     link: str = "tool0"
     xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
     known: bool = True
+    anew: str = ""
 
 
 @dataclass(frozen=True)

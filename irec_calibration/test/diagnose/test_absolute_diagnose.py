@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 from absolute_sessions import session, torsion
-from irec_calibration.diagnose import compare, diagnose
+from irec_calibration.diagnose import compare, diagnose, improve
 from irec_calibration.identification.identify import default_terms, identify
 from irec_calibration.identification.provenance import model_of
 from irec_calibration.session import Noise
@@ -32,6 +32,17 @@ def test_a_reflector_that_is_seated_anew_is_listed_where_it_happened_and_is_no_c
     verdict = diagnose(session(poses=80, noise=NOISE, moved=moved)).verdict
     assert verdict.status == "adequate", verdict.text
     assert "the reflector seated anew at pose 51," in verdict.text
+
+
+def test_a_reflector_that_is_seated_anew_by_millimetres_is_another_one_from_there_on_and_bends_no_geometry():
+    def moved(measured, p):
+        there = np.where(np.arange(len(p))[:, None] >= 50, [2e-3, -1e-3, 1.5e-3], 0.0)
+        return np.einsum("nij,nj->ni", measured.robot.kinematics(measured.q).R_tool, there)
+
+    whole, stepped = (improve(session(poses=80, noise=NOISE, moved=m)) for m in (None, moved))
+    assert stepped.before.verdict.status == "adequate", stepped.before.verdict.text
+    assert "Taken as another reflector: the reflector seated anew at pose 51," in stepped.before.verdict.text
+    assert stepped.rungs[-1].cv_rms_m < 1.2 * whole.rungs[-1].cv_rms_m
 
 
 def test_a_model_is_compared_with_another_session_of_the_robot_whose_station_stands_elsewhere():

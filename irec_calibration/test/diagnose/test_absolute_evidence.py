@@ -6,9 +6,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from absolute_sessions import session, torsion
+from hypothesis import given
+from hypothesis import strategies as st
 from irec_calibration.diagnose import diagnose, start_terms
-from irec_calibration.diagnose.evidence import Ground
+from irec_calibration.diagnose.evidence import Bench, Block, Ground
 from irec_calibration.diagnose.explanation import Explanation, own_forms
 from irec_calibration.diagnose.level import family_in_view
 from irec_calibration.diagnose.remainder import grow
@@ -43,6 +46,19 @@ def seen_at_wrong_angles(s: Session, p: Array) -> Array:
 def settles_slowly(s: Session, p: Array) -> Array:
     step = np.diff(s.q[:, 2], prepend=s.q[0, 2])
     return np.asarray(SOFT(s, p) + 1.5e-4 * step[:, None] * s.robot.kinematics(s.q).jacobian(p)[:, :, 2])
+
+
+def settles_and_has_friction(s: Session, p: Array) -> Array:
+    """Axis 3 stays behind its step, and to the side from which it came."""
+    step = np.diff(s.q[:, 2], prepend=s.q[0, 2])
+    behind = 1.5e-4 * step + 1.5e-4 * np.sign(step)
+    return np.asarray(SOFT(s, p) + behind[:, None] * s.robot.kinematics(s.q).jacobian(p)[:, :, 2])
+
+
+def stays_behind_by_a_law_of_its_own(s: Session, p: Array) -> Array:
+    step = np.diff(s.q[:, 2], prepend=s.q[0, 2])
+    behind = 3e-4 * np.cos(2.0 * step)
+    return np.asarray(SOFT(s, p) + behind[:, None] * s.robot.kinematics(s.q).jacobian(p)[:, :, 2])
 
 
 def read_by_an_eccentric_encoder(s: Session, p: Array) -> Array:
@@ -109,3 +125,31 @@ def test_the_general_law_of_an_axis_own_angle_is_no_rival_of_the_harmonics_of_it
 def test_what_harmonics_do_not_explain_of_an_encoder_is_said() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=read_by_a_chipped_encoder)).verdict
     assert verdict.remaining_m > 1e-5 and "joint_1" in verdict.depends_on, verdict.text
+
+
+def test_settling_and_friction_of_one_axis_are_named_where_both_together_are_better_than_any_curve_of_its_step() -> None:
+    verdict = diagnose(session(poses=120, noise=NOISE, moved=settles_and_has_friction)).verdict
+    assert set(verdict.effects) == {"joint_settling", "joint_hysteresis", "joint_torsion"}, verdict.text
+    other = diagnose(session(poses=120, noise=NOISE, moved=stays_behind_by_a_law_of_its_own)).verdict
+    assert set(other.effects) <= {"joint_torsion"}, other.text
+
+
+def test_where_an_arm_gives_way_by_its_gears_no_links_are_named_in_their_place() -> None:
+    q = np.zeros((80, 6))
+    q[:, :2] = np.random.default_rng(3).uniform(-1.3, 1.3, (80, 2))
+    q += np.random.default_rng(4).uniform(-0.1, 0.1, q.shape)
+    verdict = diagnose(session(q=q, noise=NOISE, moved=SOFT)).verdict
+    assert verdict.effects == ("joint_torsion",) or verdict.one_of[0][0] == "joint_torsion", verdict.text
+    assert "link_bending" not in verdict.effects
+
+
+@given(exponent=st.floats(-6.0, 6.0), seed=st.integers(0, 100))
+def test_evidence_does_not_change_with_the_unit_of_a_column(exponent: float, seed: int) -> None:
+    rng, scale = np.random.default_rng(seed), 10.0**exponent
+    A, b = rng.normal(size=(60, 5)), rng.normal(size=60)
+    free = np.full(5, np.inf)
+    width = np.array([np.inf, np.inf, np.inf, 2.0, 3.0])
+    bench = Bench(b, np.repeat(np.arange(20), 3))
+    unit = np.array([1.0, 1.0, 1.0, 1.0, scale])
+    same, other = (bench.posterior(Block(A * u, -free, free, width / u)).log_evidence for u in (np.ones(5), unit))
+    assert same == pytest.approx(other, abs=1e-5)
