@@ -18,6 +18,8 @@ from .settings import SETTINGS
 from .study import Study
 
 LASTING = SETTINGS.lasting
+LEVELS = LASTING.level_m * 2.0 ** np.arange(13)  # of the scatter, equally likely beforehand
+KNOWN = 1e9  # equations that a level counts for which is given
 POSE_LEVELS = np.array([0.0, 1.0 / 3.0, 1.0, 3.0])  # multiples of `pose_m`
 
 
@@ -111,8 +113,14 @@ def usually_beyond(study: Study, rows: IntArray) -> Array:
 def fitted(values: Array, columns: Array) -> tuple[float, Array]:
     """Log evidence of readings, (rows, 3), m, under columns in standard deviations, (rows, 3, p), m, and scatter of unknown size;
     and the values of the columns, (p,)."""
-    A = columns.reshape(-1, columns.shape[2]) / LASTING.level_m
+    A, b = columns.reshape(-1, columns.shape[2]), values.ravel()
+    G, h, pose = A.T @ A, A.T @ b, np.repeat(np.arange(len(values)), 3)
     free = np.full(A.shape[1], np.inf)
-    bench = Bench(values.ravel() / LASTING.level_m, np.repeat(np.arange(len(values)), 3), NoisePrior(dof=LASTING.level_dof))
-    found = bench.posterior(Block(A, -free, free, np.ones(A.shape[1])))
-    return found.log_evidence, found.x
+    block = Block(A, -free, free, np.ones(A.shape[1]))
+    tried = []
+    for level in LEVELS:  # what columns may have does not grow with the scatter
+        bench = Bench(b / level, pose, NoisePrior(dof=KNOWN))
+        found = bench.posterior(block, products=(G / level**2, h / level**2))
+        tried.append((found.log_evidence - len(b) * np.log(level), found.x))
+    most = max(tried, key=lambda t: t[0])
+    return float(np.logaddexp.reduce([e for e, _ in tried]) - np.log(len(LEVELS))), most[1]

@@ -112,8 +112,11 @@ def carried(study: Study, term: Term) -> float:
     if term.effect.chosen_by_poses:
         return min(_of_this_order(study, term.effect, known, theta), 0.0)
     errors = np.array([term.estimates[p.name].se if p.name in term.estimates else 0.0 for p in parameters])
-    # what differences know of a value only together with others, they know by its order of magnitude
+    # what differences know of a value only together with others, they know by its order of magnitude; and where springs and other
+    # causes are as likely as they are, no worse than the fit does
     errors = np.where(np.isfinite(errors), errors, np.abs(theta))
+    fitted_errors = study.errors_of(term.effect.id)
+    errors = np.array([min(e, fitted_errors.get(p.name, np.inf)) for e, p in zip(errors, parameters, strict=True)])
     moved = displacement_of(term, scene)[rows]
     within = (term.effect.regressor(scene, theta)[rows] * errors)[:, :, errors > 0.0]
     with_it, x = fitted(known.values - moved, np.concatenate([known.ground, within], axis=2))

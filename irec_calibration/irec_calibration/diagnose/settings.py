@@ -35,14 +35,15 @@ class LastingThresholds(Thresholds):
     Derived from what robots after geometric calibration leave.
     """
 
-    place_m: float = threshold(1.5e-4, "m", "place of the station, and of the marker on the tool", "prior")
-    angle_rad: float = threshold(1.5e-4, "rad", "of the station, joint zeros, and tilts of axes", "prior")
-    periodic_rad: float = threshold(4.5e-5, "rad", "of joint angles, with the angle", "prior")
-    soft: float = threshold(4.5e-8, "rad/(N m)", "of axes under gravity", "prior")
-    course_m: float = threshold(1.5e-5, "m", "drift over the session", "prior")
-    pose_m: float = threshold(4.5e-5, "m", "of a pose by itself, the same each time", "prior; none, a third and three times too")
-    level_m: float = threshold(2e-5, "m", "scatter of a pose's mean", "start; its own size follows from the readings")
-    level_dof: float = threshold(1.0, "equations", "how much that start counts", "as little as one equation")
+    place_m: float = threshold(3e-4, "m", "place of the station, and of the marker on the tool", "prior")
+    angle_rad: float = threshold(3e-4, "rad", "of the station, joint zeros, and tilts of axes", "prior")
+    periodic_rad: float = threshold(1e-4, "rad", "of joint angles, with the angle", "prior")
+    soft: float = threshold(1e-7, "rad/(N m)", "of axes under gravity", "prior")
+    course_m: float = threshold(3e-5, "m", "drift over the session", "prior")
+    pose_m: float = threshold(1e-4, "m", "of a pose by itself, the same each time", "prior; none, a third and three times too")
+    level_m: float = threshold(
+        2e-5, "m", "least scatter of a pose's mean that is tried", "a tracker's noise; twelve more, each twice the one before",
+    )  # fmt: skip
     fewest: int = threshold(3, "poses", "before and after a step; with fewer it is not asked", "with two, one bad pose decides")
     farthest: float = threshold(
         5.0, "standard errors", "between a value that readings show and that of differences, beyond which it is another cause's",

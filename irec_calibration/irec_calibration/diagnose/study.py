@@ -82,6 +82,16 @@ class Study:
         """Squared residual of the fit in standard deviations, without any linearisation."""
         return float((self.observation.whiten(self.fit.residual) ** 2).sum())
 
+    def errors_of(self, effect_id: str) -> dict[str, float]:
+        """Posterior standard deviation of each parameter of an effect of the model, everything else as likely as it is."""
+        own = [i for i, owner in enumerate(self.owners) if owner == effect_id]
+        if not own:
+            return {}
+        G = self.base.A.T @ self.base.A
+        H = G + np.diag(floored(self.base.width**-2.0, G, self.bench.rounding))
+        sd = np.sqrt(np.linalg.inv(H).diagonal()) * self.scale
+        return {self.parameters[i].name: float(sd[i]) for i in own}
+
     def columns(self, displacement: Array) -> Array:
         """Whitened equations of displacements per session row: (n, 3, p) -> (3m, p)."""
         seen = self.observation.whiten(self.observation.of(displacement))
