@@ -132,7 +132,7 @@ def assess(
     one_of, names = [], []
     for i in final.ids:
         rivals = built.rivals.get(i, ())
-        close = [(odds, r) for r, odds in rivals if odds < settings.nats_to_prefer]
+        close = [(odds, r) for r, odds in rivals if odds < settings.nats_over_rival]
         if close:
             one_of.append(tuple(n for _, n in sorted([(0.0, i), *close])))
         else:

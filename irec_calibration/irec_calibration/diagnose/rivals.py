@@ -25,7 +25,7 @@ class Rivals:
     """What would do in the place of names.
 
     Attributes:
-        of: added effect -> others and the odds against each, nats; below `nats_to_prefer` the name is one of several.
+        of: added effect -> others and the odds against each, nats; below `nats_over_rival` the name is one of several.
         likelier: models in which another effect stands in a name's place and explains the session better by more than what is not
             told apart, each with the model without either; the likeliest first.
     """
@@ -40,8 +40,8 @@ def rivals_of(
 ) -> Rivals:  # fmt: skip
     """Which other effects would do in the place of each added one, everything refitted.
 
-    Two laws of an axis' torque (play, stiffening, friction, counterbalance) are told apart by what is told apart otherwise
-    (`nats_to_separate`), not by what is preferred, and by a share of the name's evidence: gears follow none of them exactly.
+    Two laws of an axis' torque (play, stiffening, friction, counterbalance) are told apart by a share of the name's evidence
+    more than two other effects: gears follow none of them exactly.
     What the readings at the references carry has no rival that they carry less; what they prove without the differences, which
     other causes may bend, has none that does not move them.
 
@@ -106,7 +106,7 @@ def rivals_of(
             raw = min(odds, by_themselves - by_rival + more)
             counts = as_they_count(raw, by_themselves - by_none, law, settings)
             # what has no name may tell them apart no better than they do themselves
-            if odds < settings.nats_to_separate or counts < settings.nats_to_prefer:
+            if odds < settings.nats_to_name or counts < settings.nats_over_rival:
                 same.append((other, counts))
                 if raw < -settings.nats_to_separate and one.term(other).effect.beside != term.effect.id:
                     likelier.append((raw, one, bare))
@@ -116,7 +116,7 @@ def rivals_of(
 
 
 def as_they_count(odds: float, own: float, law: bool, settings: Settings) -> float:
-    """Odds of a name over a rival as they are held against `nats_to_prefer`, nats.
+    """Odds of a name over a rival as they are held against `nats_over_rival`, nats.
 
     Args:
         odds: as they are; own: evidence of the name over none in its place; law: both are laws of an axis' torque. Such a law has
@@ -124,8 +124,7 @@ def as_they_count(odds: float, own: float, law: bool, settings: Settings) -> flo
     """
     if not law:
         return odds
-    beyond = settings.nats_to_separate - settings.nats_to_prefer + settings.share_of_form * own
-    return max(odds - beyond, min(odds, 0.01))  # the likelier of two stays the likelier
+    return max(odds - settings.share_of_form * own, min(odds, 0.01))  # the likelier of two stays the likelier
 
 
 def _beside_bad_rows(models: Sequence[Explanation], family: Family) -> list[float]:

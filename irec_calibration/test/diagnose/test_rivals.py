@@ -10,9 +10,9 @@ from irec_calibration.diagnose.settings import SETTINGS
 
 @pytest.mark.parametrize("own", [10.0, 100.0])
 def test_two_laws_of_torque_need_more_to_be_told_apart_the_stronger_they_show(own: float) -> None:
-    least = SETTINGS.nats_to_separate + SETTINGS.share_of_form * own
+    least = SETTINGS.nats_over_rival + SETTINGS.share_of_form * own
     short, enough = (as_they_count(least + more, own, True, SETTINGS) for more in (-0.1, 0.1))
-    assert short < SETTINGS.nats_to_prefer < enough
+    assert short < SETTINGS.nats_over_rival < enough
 
 
 def test_odds_over_an_effect_of_another_kind_count_as_they_are() -> None:
