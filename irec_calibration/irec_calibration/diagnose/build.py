@@ -23,7 +23,7 @@ from .settings import SETTINGS, Settings
 from .study import Study
 from .tries import step, tried_on, two_together, waiting
 
-ROUNDS = 3  # in which a model is built on without the names that have fallen
+ROUNDS = 3  # in which a model of an absolute session is built on without the names that have fallen
 
 
 @dataclass(frozen=True)
@@ -82,14 +82,12 @@ class _Way:
     reason: str = ""
 
     def go_on(self, fallen: Collection[str]) -> None:
-        """Take effects in as long as one has the evidence; once names have fallen, only what every robot has and what needs no
-        second effect: what else seems to explain a session then may be the same unknown cause in another guise."""
-        kind = self.start.study.ready.kind
-        found = [o for o in self.found if not fallen or (kind in o.effect.everywhere and o.effect.id not in fallen)]
+        """Take effects in as long as one has the evidence, but none of those that have fallen."""
+        found = [o for o in self.found if o.effect.id not in fallen]
         while len(self.steps[-1].added) < self.settings.most_names:
             self.check()
-            known = self.trials if len(self.steps) == 1 else None
-            taken = self._one(found, known) or (None if fallen else self._two(found, known))
+            known = [t for t in self.trials if t.effect.id not in fallen] if len(self.steps) == 1 else None
+            taken = self._one(found, known) or self._two(found, known)
             if taken is None:
                 return
             self.closest, self.reason = None, ""
@@ -164,13 +162,15 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
     way = _Way(start, family, found, tuple(tried_on(start, found)), check, settings, [start])
     fallen: dict[str, None] = {}
     gone: list[str] = []
-    for _ in range(ROUNDS):
+    # an absolute session starts without springs, of which what has fallen may have kept some out; in a loaded one what explains
+    # it once names have fallen may be the same unknown cause in another guise
+    for _ in range(ROUNDS if study.ready.kind == "absolute" else 1):
         way.go_on(fallen)
         whole = way.back()
         gone += _in_their_place(start, whole, way.steps[-1].ids, family, settings)
         if whole is way.steps[-1]:
             break
-        fallen |= dict.fromkeys(i for i in whole.ids if i not in way.steps[-1].ids)  # they may have kept springs out
+        fallen |= dict.fromkeys(i for i in whole.ids if i not in way.steps[-1].ids)
     names = way.steps[-1].ids
     rivals = way.rivals([i for i in dict.fromkeys(gone) if i not in names])
     beyond = tuple(t for t in way.tried if set(t.ids[:-1]) == set(way.steps[-1].ids))
