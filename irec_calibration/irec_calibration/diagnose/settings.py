@@ -118,7 +118,7 @@ class Settings(Thresholds):
     )  # fmt: skip
     nats_over_rival: float = threshold(
         5.0, "nats", "a name needs over every other effect in its place; closer ones are given as one of several",
-        "what is told apart; of 8 names in 300 sessions that were preferred by 2.3 to 5, 2 were wrong",
+        "what is told apart; of 8 names in 286 sessions that were preferred by 2.3 to 5, 2 were wrong",
     )  # fmt: skip
     nats_for_form: float = threshold(
         2.3, "nats", "evidence against what completes the form of springs (`bending_place`), above which a model is without it",
@@ -171,7 +171,7 @@ class Settings(Thresholds):
     )  # fmt: skip
     share_feigned: float = threshold(
         0.05, "share of evidence", "of a structure that has no name, that it may lend to any name, however unlike",
-        "more than `share_of_form`, by which structures miss a cause that they stand for",
+        "chosen above `share_of_form`; at 0.03 play was named on a measured robot of which most has no name",
     )  # fmt: skip
     nats_for_structure: float = threshold(
         6.5, "nats", "evidence of the strongest such structure, the number tried taken off, that makes a session unexplained",
