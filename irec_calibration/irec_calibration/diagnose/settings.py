@@ -171,7 +171,7 @@ class Settings(Thresholds):
     )  # fmt: skip
     share_feigned: float = threshold(
         0.05, "share of evidence", "of a structure that has no name, that it may lend to any name, however unlike",
-        "chosen above `share_of_form`; at 0.03 play was named on a measured robot of which most has no name",
+        "chosen above `share_of_form`; without it play was named on a measured robot of which most has no name",
     )  # fmt: skip
     nats_for_structure: float = threshold(
         6.5, "nats", "evidence of the strongest such structure, the number tried taken off, that makes a session unexplained",
