@@ -61,7 +61,7 @@ class ReaderCounts:
     Attributes:
         unanswered: requests without a whole answer within a period. gaps: periods that the sensor's counter says are missing.
         repeated: answers with the counter of the one before; not passed on. bad: frames of the wrong length.
-        late: answers that came in a later period than their request; passed on with the time of the request.
+        late: answers that were seen in a later period than their request; passed on with the time of the request.
         unrequested: whole answers that nobody here has asked for. foreign_requests, foreign_bias: requests of another device, and
             those of them that set the sensor's zero.
         ignored: error, remote and extended frames.
@@ -142,10 +142,11 @@ class SensorReader:
             asked, periods_left = self._owed
         reading = self._listen(until)
         if reading is not None:
-            late = self._owed is not None
+            now = time.monotonic()
+            late = self._owed is not None or now > until  # a reader that was held up does not know when the answer came
             self.counts.late += late
             self._owed = None
-            self._pass_on(reading, asked if late else time.monotonic())
+            self._pass_on(reading, asked if late else now)
             return
         if self._owed is None:
             self.counts.unanswered += 1
