@@ -272,9 +272,11 @@ def _depends_on(built: Built, one: Explanation, flexible: Flexible, *, sought: b
         gains, _ = built.family.gains(Ground(one.study.bench, one.study.base))
         odds = gains - np.log([s.tried for s in built.family.structures])
         odds[[s.is_bad_row for s in built.family.structures]] = -np.inf
-        for i in np.argsort(-odds)[:3]:
-            if odds[i] > odds.max() - SETTINGS.nats_to_depend:
-                add(built.family.structures[i].variables)
+        ranked = [built.family.structures[i] for i in np.argsort(-odds)]
+        for structure in ranked[: min(int((odds > odds.max() - SETTINGS.nats_to_depend).sum()), 3)]:
+            add(structure.variables)
+        if sought and not out:  # what is the same everywhere is seen by what else describes it
+            add(next((s.variables for s in ranked if s.variables), ()))
     for p in parts:
         add(p.structure.variables)
     if not parts:

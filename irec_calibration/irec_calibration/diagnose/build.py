@@ -9,9 +9,10 @@ generic family describes as well.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
+from ..identification.observe import Observation
 from .candidates import Option, Trial, options
 from .explanation import Explanation, reshaped_again, without
 from .family import Family
@@ -23,6 +24,7 @@ from .settings import SETTINGS, Settings
 from .study import Study
 from .tries import step, tried_on, two_together, waiting
 
+Look = Callable[[Explanation, Family], "Observation | None"]  # the observation as a model asks to see it, if that is otherwise
 ROUNDS = 3  # in which a model of an absolute session is built on without the names that have fallen
 
 
@@ -38,6 +40,7 @@ class Built:
         closest: the best name that was refused at the end, and why.
         rivals: added effect -> others that would do in its place, each with the odds against it in nats.
         possible: effects that can act on the session; refused: of these, fitted exactly on top of the final model and not named.
+        seen: the observation as the last model asks to see it (`Look`), where that is otherwise; then nothing else is final.
     """
 
     start: Explanation
@@ -52,6 +55,7 @@ class Built:
     rivals: dict[str, tuple[tuple[str, float], ...]] = field(default_factory=dict)
     possible: tuple[Option, ...] = ()
     refused: tuple[Explanation, ...] = ()
+    seen: Observation | None = None
 
     @property
     def final(self) -> Explanation:
@@ -65,6 +69,7 @@ class _Way:
     Attributes:
         found: effects that can act on the session; near: added effect -> those that were about as good when it came in.
         tried: what was fitted exactly on top of the last model.
+        looked_at: the model that the observation was last asked of.
     """
 
     start: Explanation
@@ -72,6 +77,7 @@ class _Way:
     found: Sequence[Option]
     trials: tuple[Trial, ...]
     check: Check
+    look: Look
     settings: Settings
     steps: list[Explanation]
     evidence: dict[str, float] = field(default_factory=dict)
@@ -80,24 +86,43 @@ class _Way:
     tried: Sequence[Explanation] = ()
     closest: Explanation | None = None
     reason: str = ""
+    looked_at: Explanation | None = None
 
-    def go_on(self, fallen: Collection[str]) -> None:
-        """Take effects in as long as one has the evidence, but none of those that have fallen."""
+    def otherwise(self) -> Observation | None:
+        """The observation as the last model asks to see it; None where that is as it is."""
+        if self.looked_at is self.steps[-1]:
+            return None
+        self.looked_at = self.steps[-1]
+        return self.look(self.steps[-1], self.family)
+
+    def go_on(self, fallen: Collection[str]) -> Observation | None:
+        """Take effects in as long as one has the evidence, but none of those that have fallen.
+
+        Returns:
+            the observation as the model asks to see it, where that is otherwise before two effects are tried together, which is
+            most of the work.
+        """
         found = [o for o in self.found if o.effect.id not in fallen]
         while len(self.steps[-1].added) < self.settings.most_names:
             self.check()
             known = [t for t in self.trials if t.effect.id not in fallen] if len(self.steps) == 1 else None
-            taken = self._one(found, known) or self._two(found, known)
+            taken = self._one(found, known)
+            if taken is None and self.looked_at is None:
+                seen = self.otherwise()
+                if seen is not None:
+                    return seen
+            taken = taken or self._two(found, known)
             if taken is None:
-                return
+                return None
             self.closest, self.reason = None, ""
             self.steps.append(taken)
             less = pruned(self.start, taken, self.family, self.settings)
             if less is not taken:
                 self.evidence = {i: e for i, e in self.evidence.items() if i in less.ids}
                 if any(set(s.ids) == set(less.ids) for s in self.steps):
-                    return
+                    return None
                 self.steps.append(less)
+        return None
 
     def _one(self, found: Sequence[Option], known: Sequence[Trial] | None) -> Explanation | None:
         """The last model with one effect more; those that are weighed beside another come after all others."""
@@ -154,18 +179,24 @@ class _Way:
         return found
 
 
-def build(study: Study, check: Check = lambda: None, settings: Settings = SETTINGS) -> Built:
-    """Build a model on top of a start as far as the evidence goes."""
+def build(study: Study, check: Check = lambda: None, look: Look = lambda *_: None, settings: Settings = SETTINGS) -> Built:
+    """Build a model on top of a start as far as the evidence goes.
+
+    Args:
+        check: raises where the work was cancelled; look: asked once before the most work, and of the result.
+    """
     family = family_in_view(study)
     found, skipped = options(study, check=check)
     start = Explanation((), study, 0.0, grow(study.bench, family, study.base))
-    way = _Way(start, family, found, tuple(tried_on(start, found)), check, settings, [start])
+    way = _Way(start, family, found, tuple(tried_on(start, found)), check, look, settings, [start])
     fallen: dict[str, None] = {}
     gone: list[str] = []
     # an absolute session starts without springs, of which what has fallen may have kept some out; in a loaded one what explains
     # it once names have fallen may be the same unknown cause in another guise
     for _ in range(ROUNDS if study.ready.kind == "absolute" else 1):
-        way.go_on(fallen)
+        seen = way.go_on(fallen)
+        if seen is not None:
+            return Built(start, family, way.trials, skipped, way.singles, tuple(way.steps), way.evidence, seen=seen)
         whole = way.back()
         gone += _in_their_place(start, whole, way.steps[-1].ids, family, settings)
         if whole is way.steps[-1]:
@@ -176,7 +207,7 @@ def build(study: Study, check: Check = lambda: None, settings: Settings = SETTIN
     beyond = tuple(t for t in way.tried if set(t.ids[:-1]) == set(way.steps[-1].ids))
     return Built(
         start, family, way.trials, skipped, way.singles, tuple(way.steps), way.evidence, way.closest, way.reason, rivals.of,
-        tuple(found), beyond,
+        tuple(found), beyond, way.otherwise(),
     )  # fmt: skip
 
 

@@ -187,7 +187,8 @@ def try_option(ground: Ground, option: Option, scene: Scene) -> Trial:
         out = []
         for (i, chosen), c, posterior in zip(sets, columns, found, strict=True):
             table, names = option.tables[i], option.tables[i].groups
-            prior = log_odds - log(len(names)) - log(comb(len(names), len(chosen))) - log(len(option.tables))
+            sets_of = len(names) * comb(len(names), len(chosen)) * len(option.tables)
+            prior = log_odds + effect.log_odds_of(chosen) - log(sets_of)
             v = Variant(
                 effect, chosen, table.shape, tuple(table.parameters[j].name for j in c),
                 np.array([table.parameters[j].scale for j in c]), reduced[i].block.take(c).widened(posterior.factor), prior,

@@ -192,19 +192,48 @@ def proven(
 def standing(start: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[Explanation, dict[str, float]]:
     """A model whose weakest name was taken out until all stand, and the evidence of each."""
     while one.added:
-        left = feigned(one, settings)
-        everything = max(start.study.bench.posterior(start.study.base).chi2 - one.chi2, 1e-9)
         bare = {i: without(start, one, i, family) for i in one.ids}
         evidence = {i: odds_of(start, one, b, i, family, settings) for i, b in bare.items()}
-        share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
-        surely = {i for i in one.ids if everywhere(one, i) or shown_by_readings(one, i)}
-        least = {i: needed(one, i, settings) + (0.0 if i in surely else left[i]) for i in one.ids}
-        weak = [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
-        weak = weak or [i for i in one.ids if against(one.study, one.term(i))]  # where others' names have moved its values
+        weak = _weak(start, one, bare, evidence, settings)
         if not weak:
             return one, evidence
         one = bare[min(weak, key=lambda i: evidence[i])]
     return one, {}
+
+
+def all_stand(start: Explanation, one: Explanation, family: Family, settings: Settings) -> dict[str, float]:
+    """Evidence of each name of a model, where all stand; else nothing, as soon as one is too weak, the last added first."""
+    bare: dict[str, Explanation] = {}
+    evidence: dict[str, float] = {}
+    left = feigned(one, settings)
+    for i in reversed(one.ids):
+        bare[i] = without(start, one, i, family)
+        evidence[i] = odds_of(start, one, bare[i], i, family, settings)
+        if evidence[i] < _least(one, i, left, settings):
+            return {}
+    return {} if _weak(start, one, bare, evidence, settings) else evidence
+
+
+def _weak(
+    start: Explanation, one: Explanation, bare: dict[str, Explanation], evidence: dict[str, float], settings: Settings
+) -> list[str]:
+    """Names of a model that do not stand.
+
+    Args:
+        bare: the model without each of its names; evidence: of each.
+    """
+    left = feigned(one, settings)
+    everything = max(start.study.bench.posterior(start.study.base).chi2 - one.chi2, 1e-9)
+    share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
+    least = {i: _least(one, i, left, settings) for i in one.ids}
+    weak = [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
+    return weak or [i for i in one.ids if against(one.study, one.term(i))]  # where others' names have moved its values
+
+
+def _least(one: Explanation, effect_id: str, left: dict[str, float], settings: Settings) -> float:
+    """Evidence that a name needs beside what structures that remain could feign of it."""
+    surely = everywhere(one, effect_id) or shown_by_readings(one, effect_id)
+    return needed(one, effect_id, settings) + (0.0 if surely else left[effect_id])
 
 
 def _beside_larger(one: Explanation, effect_id: str, share: dict[str, float], settings: Settings) -> float:

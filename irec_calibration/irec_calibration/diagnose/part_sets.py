@@ -145,18 +145,25 @@ class PartSets:
     def parts(self, names: Names, near: Sequence[Names]) -> Parts:
         """What is known of the parts of the best set."""
         everything = max(self.alone.chi2 - self.fit(names)[1].chi2, 1e-9)
-        own, proven = {}, []
+        own, proven = {}, list[str]()
         for n in names:
             less = tuple(m for m in names if m != n)
             without = [less, *(s for s in self.others(names) if n not in s)]
             own[n] = min(self.cost(names, n), self.score(names) - max(self.score(s) for s in without))
-            share = (self.fit(less)[1].chi2 - self.fit(names)[1].chi2) / everything
+            share = self._brought(names, less) / everything
             is_proven = self.cost(names, n) >= SETTINGS.nats_to_prove_part and share >= SETTINGS.share_to_prove_part
             if is_proven and all(n in s for s in near):
                 proven.append(n)
         one_of = _alternatives([names, *near], proven)
+        least = tuple(n for n in names if not any(n in s for s in one_of))
+        if one_of and self._brought(names, least) < SETTINGS.share_to_prove_part * everything:
+            one_of = ()
         spoken = {*proven, *(n for s in one_of for n in s)}
         return Parts(tuple(proven), one_of, tuple(n for n in names if n not in spoken), own)
+
+    def _brought(self, names: Names, less: Names) -> float:
+        """By how much a set lowers the squared residual that fewer parts leave."""
+        return self.fit(less)[1].chi2 - self.fit(names)[1].chi2
 
     def term(self, names: Names) -> Term:
         """The effect with these parts, with the values of the linearised fit."""

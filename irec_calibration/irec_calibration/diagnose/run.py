@@ -9,29 +9,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import Cancelled, SolveError
-from ..identification.identify import default_terms, observe_with_force_noise
-from ..identification.observe import Observation
+from ..identification.identify import default_terms
 from ..identification.provenance import model_of
 from ..identification.validation import HeldOut, gain
 from ..model import Estimate, Model, Term
 from ..session.data import Session
+from .again import built_again
 from .assessment import Assessment, assess, bad_luck, p_value
 from .bad_readings import one_note_each, rows_json
-from .build import Built, build
 from .candidates import Trial
 from .comparison import compare_observed
-from .explanation import in_one_pose
-from .family import family_of
 from .held_out import held_out, validated
-from .level import noise_left
 from .next_poses import next_measurements
 from .parts import parts_in
 from .proposals import proposals
-from .remainder import grow
 from .result import Candidate, Diagnosis, Measurement
-from .sag import with_sag_as_seen
 from .shown import Shown, shown_of
-from .study import Study, completed_study, study_of
+from .study import Study, completed_study
 from .tool_weight import READ_AT_REFERENCES, Readings, reference_readings
 from .where import views
 from .wording import verdict_of
@@ -101,23 +95,7 @@ def examine(
     study = completed_study(asked)
     check()
     say(done.fitted, "building a model from the effects of the catalogue")
-    built = build(study, check)
-    observation = without_later_accidents(study.observation, built)
-    if observation is not None:
-        say(0.5 * (done.fitted + done.built), "weighing the effects again without what is plainly wrong beside them")
-        asked, study = replace(study_of(observation, asked.terms), apart=asked.apart), study_of(observation, study.terms)
-        built = build(study, check)
-    seen = with_sag_as_seen(built.final.study, built.final.remainder)
-    if seen is not None:
-        say(0.5 * (done.fitted + done.built), "weighing the effects again with what the arm sags on its way as it shows")
-        asked, study = replace(study_of(seen, asked.terms), apart=asked.apart), study_of(seen, study.terms)
-        built = build(study, check)
-    left = noise_left(built.final.study, built.final.remainder, built.family)
-    if left is not None:
-        # what is named now was taken for noise before: weigh everything again at the noise that is left
-        say(0.5 * (done.fitted + done.built), "weighing the effects again at the noise that is left")
-        asked, study = replace(study_of(left, asked.terms), apart=asked.apart), study_of(left, study.terms)
-        built = build(study, check)
+    asked, study, built = built_again(asked, study, check, lambda words: say(0.5 * (done.fitted + done.built), words))
     say(done.built, "weighing the evidence")
     relaxed = session.kind == "loaded" and session.contact is None  # references bear no force
     readings = reference_readings(study.ready, session.noise.force_n) if relaxed else None
@@ -160,28 +138,6 @@ def examine(
     )
     say(1.0, "done")
     return result, assessment, shown
-
-
-def without_later_accidents(observation: Observation, built: Built) -> Observation | None:
-    """The observation without rows that are plainly wrong beside a built model and were not before, at the noise that is left
-    without them; None where there are none.
-
-    Two load cases that were swapped, say, don't stand out of a millimetre that an effect explains later; what is weighed beside
-    them rests on a fit that they bend.
-    """
-    final = built.final
-    if observation.session.kind != "loaded" or not final.added or not final.remainder.bad_rows:
-        return None
-    if any(in_one_pose(final, i) for i in final.ids):  # what is plainly wrong beside it may be what it is read off
-        return None
-    later = observe_with_force_noise(observation.session, final.study.terms)
-    keep = np.isin(observation.rows, later.rows)
-    if keep.all():
-        return None
-    less = replace(observation.only(keep), bad=later.bad, session=later.session)
-    beside = study_of(less, final.study.terms)
-    family = family_of(beside)
-    return noise_left(beside, grow(beside.bench, family, beside.base), family) or less
 
 
 def _candidates(assessment: Assessment, readings: Readings | None, check: Callable[[], None]) -> tuple[Candidate, ...]:

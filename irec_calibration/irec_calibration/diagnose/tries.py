@@ -10,7 +10,7 @@ from .evidence import Block, Ground
 from .explanation import Explanation, explain, reshaped_again
 from .family import Family
 from .forms import bends, forms_of
-from .naming import refused, standing
+from .naming import all_stand, refused
 from .readings import by_readings
 from .remainder import grow
 from .rivals import Check
@@ -38,7 +38,7 @@ def two_together(
     if sum(p.log_evidence for p in current.remainder.structures) < settings.nats_for_two:
         return None
     trials = tried_on(current, found) if trials is None else trials
-    best: tuple[Explanation, dict[str, float]] | None = None
+    pairs: dict[frozenset[str], Explanation] = {}
     for trial in trials[: settings.refits]:
         check()
         one = explain(start, current, trial, family)
@@ -48,10 +48,14 @@ def two_together(
             if refused(start, one, two, family, settings)[0]:
                 continue
             both = reshaped_again(start, two, family)
-            kept, evidence = standing(start, both, family, settings)
-            if set(kept.ids) == set(both.ids) and (best is None or both.log_evidence > best[0].log_evidence):
-                best = both, evidence
-    return best
+            names = frozenset(both.ids)
+            pairs[names] = max(both, pairs.get(names, both), key=lambda e: e.log_evidence)
+    for both in sorted(pairs.values(), key=lambda e: -e.log_evidence):
+        check()
+        evidence = all_stand(start, both, family, settings)
+        if evidence:
+            return both, evidence
+    return None
 
 
 def step(

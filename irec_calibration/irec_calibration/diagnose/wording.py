@@ -59,7 +59,8 @@ def verdict_of(
     evidence = assessment.evidence
     if assessment.status == "unexplained" and not evidence:
         evidence = ("held_out_structure",)  # what either effect describes, and needed to be taken in
-        parts.append(f"What is missing depends on {', '.join(assessment.depends_on)}.")
+        if assessment.depends_on:
+            parts.append(f"What is missing depends on {', '.join(assessment.depends_on)}.")
     parts += _rest(assessment)
     parts += _form(shown)
     parts += _stands_in(shown)

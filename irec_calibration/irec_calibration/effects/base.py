@@ -12,7 +12,7 @@ then comes from differences. An effect that is linear in its parameters should g
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -187,6 +187,11 @@ class Effect(ABC):
 
     def log_odds(self, scene: Scene) -> float:
         """How much more likely (less: negative) the effect is than others before a session is seen, natural log."""
+        return 0.0
+
+    def log_odds_of(self, groups: Sequence[str]) -> float:
+        """How much more likely (less: negative) it is that just these groups of its parameters are there than other sets of as
+        many, before a session is seen, natural log."""
         return 0.0
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..typing import Array
@@ -17,6 +19,9 @@ AXES = ("x", "y", "z")
 LOOSE_TRANSLATION, LOOSE_ROTATION = 3.0e-9, 3.0e-8  # m/N, rad/(N m)
 ROTATION, SOFTEST_ROTATION = 2e-8, 2e-6  # rad/(N m); of the base of a heavy robot, and the largest that is physically likely
 TILT_UNDER_OWN_WEIGHT = 2e-4  # rad; ROTATION under the 10 kN m of a heavy robot with its payload
+# What gives way under a force at a height h tilts too: a pedestal by 3 / h^2 of it per N m, a plate on mounts by more. With the
+# TCP a metre or two above and beside the base the tilt is the larger part; a base slides without tilting only where it is loose.
+ONLY_SLIDES = -3.0  # odds of 20 against it, natural log
 LOOK = "check the bolts of the base, the pedestal and the floor"
 
 
@@ -71,6 +76,9 @@ class BaseCompliance(Effect):
             *(Parameter(f"r_{a}", "rad/(N m)", scale, lower=0.0, plausible=(0.0, limit), group="rotation") for a in AXES),
             Parameter("r_xy", "rad/(N m)", scale, plausible=(-limit, limit), group="rotation"),
         )
+
+    def log_odds_of(self, groups: Sequence[str]) -> float:
+        return ONLY_SLIDES if tuple(groups) == ("translation",) else 0.0
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         _, moment = scene.load_wrench_at_base()

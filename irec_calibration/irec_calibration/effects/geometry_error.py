@@ -70,21 +70,23 @@ class GeometryError(Effect):
         if not np.any(theta):
             return self._first_order(scene)
         n, nk = scene.q.shape
-        changes = self._joint_changes(scene, theta)
         p = scene.p_observed
-        twist = np.zeros((n, 3, nk, 6))  # by translation and rotation vector in the joint's frame
+        changes = self._joint_changes(scene, theta)
+        twist = np.empty((n, 3, nk, 6))  # by translation and rotation vector in the joint's frame
+        turns = np.empty((nk, n, 3, 3))  # of what is beyond a joint, by its change
         for k, t, w in reversed(changes):
             R = scene.kin.R_joint[:, k]
             E = Rotation.from_rotvec(w).as_matrix()
-            # what the joints beyond k have done is turned by the change of this one
-            RER = R @ E @ np.swapaxes(R, 1, 2)
-            twist[:, :, k + 1 :] = np.einsum("nij,njkp->nikp", RER, twist[:, :, k + 1 :])
+            turns[k] = R @ E @ np.swapaxes(R, 1, 2)
             local = np.einsum("nji,nj->ni", R, p - scene.kin.origin[:, k])
             turned = local @ E.T
             by_w = np.swapaxes(np.cross(left_jacobian(w).T[None], turned[:, None, :]), 1, 2)
             twist[:, :, k, :3] = R
             twist[:, :, k, 3:] = R @ by_w
-            p = self._moved(scene, k, p, t, w)
+            p = scene.kin.origin[:, k] + np.einsum("nij,nj->ni", R, turned + t)
+        for k in range(1, nk):  # what a joint does is turned by the changes of all before it
+            turns[k] = turns[k - 1] @ turns[k]
+            twist[:, :, k] = turns[k - 1] @ twist[:, :, k]
         axis, virtual, prismatic = scene.arm.axis_in_joint, scene.kin.virtual_in_joint, scene.kin.is_prismatic
         out = np.empty((n, 3, nk, 6))
         out[..., 1:4] = twist[..., :3]
