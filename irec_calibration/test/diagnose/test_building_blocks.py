@@ -302,3 +302,16 @@ def test_a_structure_explains_nothing_by_an_amplitude_that_cannot_be() -> None:
     bounded, smaller = least.gains(ground)
     assert smaller[at] == pytest.approx(0.1)
     assert bounded[at] < gains[at] - 10.0
+
+
+def pushed_away(scene: Scene) -> Array:
+    return 1.5e-7 * scene.force
+
+
+def test_a_base_that_slides_without_tilting_is_less_likely_than_a_tool_that_gives_way() -> None:
+    # as soft in every direction neither frame tells
+    ground = Ground(study(pushed_away).bench, study(pushed_away).base)
+    found, _ = options(study(pushed_away), [find_effect(i) for i in ("tool_compliance", "base_compliance")])
+    tool, base = (try_option(ground, o, study(pushed_away).ready) for o in found)
+    assert base.best.groups == ("translation",)
+    assert base.log_evidence > 10.0 and tool.log_evidence > base.log_evidence + 2.0
