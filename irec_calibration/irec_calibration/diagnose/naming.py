@@ -76,8 +76,8 @@ def odds_of(
 
     The general law of an axis' torque is no rival of an effect that is a form of it: it stays out on both sides. Where another
     effect bends the curve of that axis already, it is one: gears follow neither exactly, and the second may only mend the first.
-    A drift of another form, and a link that tilts instead of an axis that turns, is no rival unless it explains more than what is
-    not told apart; a drift of another form is one where it is left beside the name and explains more than that.
+    A drift of another form is no rival unless it explains more than what is not told apart, or is left beside the name and
+    explains more than that; a link that tilts instead of an axis that turns is none unless it is preferred.
     A curve of few coefficients has a cause's form only nearly: a share of what the nonparametric structures explain counts for
     them. Where the readings at the references have the effect, which no structure moves, none is its rival; and where
     differences bear out the value of the readings, both count.
@@ -106,11 +106,12 @@ def odds_of(
         # to be there it needs no more than to explain as well as what has no name (nothing that is not told apart from it speaks
         # against it); to be of a size that shows, evidence of its own
         return min(odds + may_be_as_weak, own)
-    if law:  # gears have laws of their own far more often than bearings: without any tilt it may be as weak, else it needs it all
+    if law:  # gears have laws of their own far more often than bearings: a tilt speaks against one where it is preferred to it
         instead, more = beside(forms)
         # that several gears should bend at once is no likelier than that one bearing gives way
         rare = len(bends(one.term(effect_id), one.study.ready)) > 1
-        odds = min(odds, own - instead + max(left + (0.0 if rare else may_be_as_weak), more))
+        preferred = 0.0 if rare else settings.nats_over_structure + settings.nats_to_prefer
+        odds = min(odds, own - instead + max(left + preferred, more))
         in_place = max(in_place, instead) if rare else in_place
     if forms.drifts:
         instead, more = beside(NO_FORMS)

@@ -132,11 +132,11 @@ def test_a_name_that_is_hardly_there_needs_all_its_evidence_without_any_structur
     )
 
 
-@pytest.mark.parametrize(("axes", "named"), [({2}, True), ({0, 2, 3}, False)])
-def test_a_bearing_that_gives_way_is_no_less_likely_than_several_gears_that_bend_at_once(
-    monkeypatch: pytest.MonkeyPatch, axes: set[int], named: bool
+@pytest.mark.parametrize(("axes", "tilt", "named"), [({2}, 112.0, True), ({0, 2, 3}, 112.0, False), ({2}, 123.0, False)])
+def test_a_bearing_gives_way_instead_of_a_gear_where_it_explains_more_and_instead_of_several_where_it_explains_as_much(
+    monkeypatch: pytest.MonkeyPatch, axes: set[int], tilt: float, named: bool
 ) -> None:
-    """A link that tilts explains almost as much as a law of torque does; nothing else explains half of it."""
+    """A link that tilts explains the session almost as well as a law of torque, or better; nothing else explains half of it."""
     rest = SimpleNamespace(gained=0.0, parts=(), structures=(), bad_rows=())
     term = SimpleNamespace(effect=SimpleNamespace(family=naming.Alike.TORQUE_LAW, in_readings=False))
     one: Any = SimpleNamespace(named=118.0, study=SimpleNamespace(ready=None), term=lambda _: term, remainder=rest)
@@ -144,7 +144,7 @@ def test_a_bearing_that_gives_way_is_no_less_likely_than_several_gears_that_bend
 
     def remainder_of(study: object, family: object, parts: object, forms: Forms = NO_FORMS) -> SimpleNamespace:
         in_place = study is bare.study
-        return SimpleNamespace(gained=0.0 if not in_place else 50.0 if forms.tilts else 112.0)
+        return SimpleNamespace(gained=0.0 if not in_place else 50.0 if forms.tilts else tilt)
 
     odds = odds_beside(monkeypatch, one, bare, Forms(axes=frozenset(axes)), remainder_of, "joint_stiffening")
     assert (odds > naming.needed(one, "joint_stiffening", SETTINGS)) == named
