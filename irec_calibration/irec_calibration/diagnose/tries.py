@@ -38,7 +38,7 @@ def two_together(
     if sum(p.log_evidence for p in current.remainder.structures) < settings.nats_for_two:
         return None
     trials = tried_on(current, found) if trials is None else trials
-    pairs: dict[frozenset[str], Explanation] = {}
+    pairs: list[Explanation] = []  # one may be there twice, with other shapes: each was found beside the one taken first
     for trial in trials[: settings.refits]:
         check()
         one = explain(start, current, trial, family)
@@ -47,10 +47,8 @@ def two_together(
         for two in step(start, one, found, family, None, check, settings)[: settings.refits]:
             if refused(start, one, two, family, settings)[0]:
                 continue
-            both = reshaped_again(start, two, family)
-            names = frozenset(both.ids)
-            pairs[names] = max(both, pairs.get(names, both), key=lambda e: e.log_evidence)
-    for both in sorted(pairs.values(), key=lambda e: -e.log_evidence):
+            pairs.append(reshaped_again(start, two, family))
+    for both in sorted(pairs, key=lambda e: -e.log_evidence):
         check()
         evidence = all_stand(start, both, family, settings)
         if evidence:
