@@ -7,7 +7,7 @@ less than the model leaves, by a structure that helps on held-out poses, or by a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..effects.traits import Family as Alike
 from ..identification.noise import InferredNoise
 from ..identification.validation import HeldOut, gain, rms
 from ..model import Term
+from .bad_readings import put_aside
 from .build import Built
 from .candidates import Trial
 from .evidence import Block, Ground
@@ -118,7 +119,7 @@ def assess(
     if flexible.significant:
         evidence.append("flexible_regression")
     aside = (*asked.apart, *rest.bad_rows)
-    if len(aside) >= settings.several and _put_aside(study, aside) > settings.most_put_aside:
+    if len(aside) >= settings.several and put_aside(study, aside, noise.inferred_m) > settings.most_put_aside:
         evidence.append("readings_that_stand_out")
     if not evidence and rest.structures:
         bad = only_bad_rows(study, built.family)
@@ -231,13 +232,6 @@ def _size(study: Study, known: Block, ground: Ground) -> float:
     with_it = study.observation.whiten.undo(ground.residual.reshape(-1, 3))
     alone = _residual(study, known)
     return rms(alone - with_it)
-
-
-def _put_aside(study: Study, aside: Sequence[Part]) -> float:
-    """Share of all readings that count for nothing because they stand out; the reference of a pose is one of them."""
-    references = study.ready.reference[study.observation.rows]
-    readings = len(references) + len(np.unique(references[references >= 0]))
-    return sum(p.structure.columns.stop - p.structure.columns.start for p in aside) / (3.0 * max(readings, 1))
 
 
 def _beside_repeats(study: Study, repeats: Repeats) -> float:

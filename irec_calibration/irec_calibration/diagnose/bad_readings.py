@@ -10,13 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ..identification.bad_rows import BadRow
 from ..identification.marker_noise import NOTE as BY_MARKER
 from ..session.data import Session
 from ..typing import Json
 from .remainder import Part
 from .sag import NOTE as OF_SAG
+from .study import Study
 
+FAR = 2.0  # RMS of the noise, beyond which a reading of a pose that is put aside stands out: by chance one in 140 does
 SET_ASIDE = "counts for nothing in the verdict"
 
 
@@ -73,3 +77,17 @@ def _row(session: Session, row: int, kind: str, size_m: float, action: str, text
         "pose": int(session.pose[row]), "load_case": session.case_name(int(session.load_case[row])),
         "repeat": int(session.repeat[row]), "kind": kind, "size_m": size_m, "action": action, "text": text,
     }  # fmt: skip
+
+
+def put_aside(study: Study, aside: Sequence[Part], noise_m: float) -> float:
+    """Share of all readings that count for nothing because they stand out; the reference of a pose is one of them.
+
+    Of a pose that is put aside as a whole, by few of its readings, the others do not stand out.
+    """
+    observation, residual = study.observation, np.linalg.norm(study.fit.residual, axis=1)
+    references = study.ready.reference[observation.rows]
+    readings = len(references) + len(np.unique(references[references >= 0]))
+    far = observation.rows[residual > FAR * noise_m]
+    single = [p.structure.columns.stop - p.structure.columns.start <= 3 for p in aside]
+    count = sum(1 if s else int(np.isin(p.structure.rows, far).sum()) for s, p in zip(single, aside, strict=True))
+    return count / max(readings, 1)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import synthetic
 from irec_calibration.diagnose import diagnose
-from irec_calibration.diagnose.bad_readings import SET_ASIDE, one_note_each, rows_json
+from irec_calibration.diagnose.bad_readings import SET_ASIDE, one_note_each, put_aside, rows_json
 from irec_calibration.effects.scene import Scene
 from irec_calibration.identification.bad_rows import BadRow
 from irec_calibration.identification.outliers import KEPT
@@ -67,3 +67,21 @@ def test_a_bad_reading_beside_a_missing_effect_is_told_once() -> None:
     assert found.verdict.effects == ("joint_backlash",), found.verdict.text
     assert sum(f"pose {clean.pose[ROW]}," in note for note in found.notes) == 1, found.notes
     assert [b["pose"] for b in found.bad_rows] == [clean.pose[ROW]], found.bad_rows
+
+
+def test_of_a_pose_that_is_put_aside_only_the_readings_that_stand_out_count() -> None:
+    rows = np.arange(20)
+    residual = np.full((20, 3), 1e-5)
+    residual[[4, 6]] = 3e-4  # two of the five load cases of one pose
+    study = SimpleNamespace(
+        observation=SimpleNamespace(rows=rows),
+        fit=SimpleNamespace(residual=residual),
+        ready=SimpleNamespace(reference=np.repeat([0, 5, 10, 15], 5)),
+    )
+
+    def part(rows: tuple[int, ...]) -> SimpleNamespace:
+        return SimpleNamespace(structure=SimpleNamespace(rows=rows, columns=slice(0, 3 * len(rows))))
+
+    reference = SimpleNamespace(structure=SimpleNamespace(rows=tuple(range(5, 10)), columns=slice(0, 3)))
+    assert put_aside(study, [part((4, 5, 6, 7, 8))], 4e-5) == 2 / 24
+    assert put_aside(study, [part((1,)), reference], 4e-5) == 2 / 24
