@@ -64,7 +64,9 @@ def in_words(ladder: Ladder) -> str:
     lines.append(f"{'noise floor':40} {1e6 * ladder.noise_floor_m:12.1f}")
     if any(r.one_of for r in ladder.rungs):
         lines.append("or: these data do not tell which it is; the model has the first")
-    if not all(r.named or r.one_of for r in ladder.rungs):
+    if any(r.usual for r in ladder.rungs):
+        lines.append("(usual): of a size that every robot has; no cause to look for")
+    if any(r.stands_in for r in ladder.rungs):
         lines.append("(no name): predicts structure that no effect can be named for; it is no diagnosis")
     lines.append(f"stopped: {ladder.stopped}")
     lines.append(textwrap.fill(f"estimator: {ESTIMATOR}", 100, subsequent_indent="  "))

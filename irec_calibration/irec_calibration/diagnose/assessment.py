@@ -21,7 +21,7 @@ from .bad_readings import put_aside
 from .build import Built
 from .candidates import Trial
 from .evidence import Block, Ground
-from .explanation import Explanation
+from .explanation import Explanation, usual
 from .family import Family
 from .flexible import Flexible, flexible_gain
 from .held_out import held_out, only_good_poses
@@ -40,7 +40,8 @@ class Assessment:
     """What the evidence says, before it is put in words.
 
     Attributes:
-        names: effects that every good explanation needs, most important first; one_of: sets of which one is needed.
+        names: effects that every good explanation needs, most important first; one_of: sets of which one is needed; usual:
+            effects that are there no larger than in every robot.
         study: the model with the added effects, cut down to the parts that they need; remainder: what is left beside it.
         evidence: what shows the structure that has no name: `repeats`, `held_out_structure`, `flexible_regression`,
             `readings_that_stand_out`, `few_poses`.
@@ -73,6 +74,7 @@ class Assessment:
     asked: Study
     parts: dict[str, Parts] = field(default_factory=dict)
     other: tuple[tuple[Term, ...], tuple[str, str]] | None = None
+    usual: tuple[str, ...] = ()
 
     @property
     def added(self) -> tuple[str, ...]:
@@ -130,11 +132,13 @@ def assess(
     if not evidence and built.closest is not None:
         if one_cause_of_bad_rows(start, final, built.closest, built.family, settings):
             evidence.append("few_poses")
-    one_of, names = [], []
+    one_of, names, as_usual = [], [], list[str]()
     for i in final.ids:
         rivals = built.rivals.get(i, ())
         close = [(odds, r) for r, odds in rivals if odds < settings.nats_over_rival]
-        if close:
+        if usual(final, i):
+            as_usual.append(i)
+        elif close:
             one_of.append(tuple(n for _, n in sorted([(0.0, i), *close])))
         else:
             names.append(i)
@@ -155,13 +159,14 @@ def assess(
         remaining = max(remaining, float(np.sqrt(max(rms(_residual(study, study.base)) ** 2 - noise.inferred_m**2, 0.0))))
     if evidence and remaining == 0.0:
         remaining = flexible.gain_m
+    other = None if pruned.other and pruned.other[1][0].split(":")[0] in as_usual else pruned.other
     chi2 = [s.bench.posterior(s.base).chi2 for s in (start.study, study)]
     won = max(chi2[0] - chi2[1], 0.0)
     explained = float(won / max(won + chi2[1] - ground.chi2, 1e-9)) if final.added else float(weight)
     return Assessment(
         built, status, tuple(names), tuple(one_of), study, rest, depends_on, tuple(evidence),
         float(remaining), _hidden(noise, len(study.bench.b), settings), explained, noise, bare, flexible, readings, base_cv,
-        built.reason, asked, pruned.parts, pruned.other,
+        built.reason, asked, pruned.parts, other, tuple(as_usual),
     )  # fmt: skip
 
 

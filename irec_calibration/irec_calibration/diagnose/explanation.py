@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import isfinite, log
+from math import isfinite, log, sqrt
 
 from ..effects import Axes, Evidence
 from ..model import Term
+from ..model.model import displacements, prepared, total_displacement
 from ..model.springs import ROWS_KEPT
 from .candidates import Trial, supported
 from .family import Family
@@ -165,6 +166,19 @@ def implausible(one: Explanation, effect_id: str) -> str:
     axial = (t for t in one.study.terms if t.effect.compliance_of is Axes.ACTUATED)
     compliance = {name: e.value for t in axial for name, e in t.estimates.items()}
     return term.effect.why_impossible({name: (e.value, e.se) for name, e in term.estimates.items()}, compliance)
+
+
+def usual(one: Explanation, effect_id: str) -> bool:
+    """Whether an added effect is no larger than in every robot, in a loaded session: it is part of the model and no cause."""
+    study = one.study
+    if study.ready.kind != "loaded":
+        return False
+    rows, scene = study.observation.rows, study.observation.scene
+    mine = displacements([t for t in study.terms if t.effect.id == effect_id], scene, prepared(study.terms, scene))
+    whole = float((total_displacement(study.terms, scene)[rows] ** 2).sum())
+    own = sum(float((d[rows] ** 2).sum()) for d in mine.values())
+    values = {n: e.value for n, e in one.term(effect_id).estimates.items()}
+    return one.term(effect_id).effect.is_usual(values, sqrt(own / max(whole, 1e-300)))
 
 
 def everywhere(one: Explanation, effect_id: str) -> bool:

@@ -40,6 +40,7 @@ class Rung:
         one_of: the addition and the effects that would do in its place, where the session does not tell which it is.
         named: the addition is a cause that the session shows; False: it is one of several, or predicts other poses and stands in
             for what has no name.
+        usual: the addition is there as in every robot, no cause to look for; `named` is False then.
     """
 
     added: str
@@ -52,6 +53,7 @@ class Rung:
     parts: dict[str, Parts] = field(default_factory=dict)
     named: bool = True
     one_of: tuple[str, ...] = ()
+    usual: bool = False
 
     @property
     def title(self) -> str:
@@ -60,7 +62,12 @@ class Rung:
             return " + ".join(self.effects)
         if self.one_of:
             return f"+ {' or '.join(self.one_of)}"
-        return f"+ {self.added}" if self.named else f"+ {self.added} (no name)"
+        return f"+ {self.added}" if self.named else f"+ {self.added} ({'usual' if self.usual else 'no name'})"
+
+    @property
+    def stands_in(self) -> bool:
+        """The addition predicts what has no name."""
+        return not (self.named or self.one_of or self.usual)
 
 
 @dataclass(frozen=True)
@@ -90,6 +97,7 @@ class Ladder:
                 "parts": parts_json(r.parts),
                 "named": r.named,
                 "one_of": list(r.one_of),
+                "usual": r.usual,
             }
             for r in self.rungs
         ]
@@ -132,7 +140,8 @@ def improve(
         evidence = assessment.built.evidence.get(effect, float("nan"))
         rung = _rung(one, effect, evidence, rungs[-1].model, assessment.parts if is_last else {})
         one_of = next(((effect, *(i for i in s if i != effect)) for s in assessment.one_of if effect in s), ())
-        rungs.append(replace(rung, one_of=one_of, named=not one_of))
+        usual = effect in assessment.usual
+        rungs.append(replace(rung, one_of=one_of, usual=usual, named=not one_of and not usual))
     if shown.without_form is not None:
         rungs.append(_rung(shown.after, "+".join(shown.form), shown.form_evidence, rungs[-1].model, assessment.parts))
     for extra in shown.stand_ins:

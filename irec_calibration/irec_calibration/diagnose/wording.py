@@ -63,6 +63,7 @@ def verdict_of(
             parts.append(f"What is missing depends on {', '.join(assessment.depends_on)}.")
     parts += _rest(assessment)
     parts += _form(shown)
+    parts += [f"The improved model has {_label(i)} as every robot has it: no cause to look for." for i in assessment.usual]
     parts += _stands_in(shown)
     parts += _noise(assessment.noise)
     parts += _bad_rows(assessment)

@@ -202,6 +202,14 @@ class Effect(ABC):
         """
         return ""
 
+    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+        """Whether an effect is no larger than in every robot: it is there then, and no cause that anybody has to look for.
+
+        Args:
+            values: parameter -> fitted value; share: RMS of its displacement over that of the whole model, in a loaded session.
+        """
+        return False
+
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         """Changes of the robot over the years that its parameters describe, for a robot like that of a scene."""
         return ()

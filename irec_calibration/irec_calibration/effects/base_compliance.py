@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
-from .scales import TWIST_UNDER_OWN_WEIGHT
+from .scales import TWIST_UNDER_OWN_WEIGHT, USUAL_SHARE
 from .scene import Scene
 from .traits import Ageing, Family
 
@@ -93,6 +93,9 @@ class BaseCompliance(Effect):
             *(Ageing(f"t_{a}", slides.format(a), 1e9 * LOOSE_TRANSLATION, LOOSE_TRANSLATION, "loose", LOOK) for a in AXES),
             *(Ageing(f"r_{a}", tilts.format(a), 1e6 * LOOSE_ROTATION, LOOSE_ROTATION, "loose", LOOK) for a in AXES),
         )
+
+    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+        return share <= USUAL_SHARE
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         columns = [f"base_{p.name}" for p in self.parameters(scene)[:6]]

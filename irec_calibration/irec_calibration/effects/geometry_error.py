@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,9 @@ from .scene import Scene
 from .state import ElasticResponse
 from .station_pose import left_jacobian
 from .traits import Cause, Family
+
+# Of robots after their geometric calibration, RMS over the parameters of a fit; what has a cause is ten times as much
+USUAL_M, USUAL_RAD = 0.6e-3, 0.6e-3
 
 
 class GeometryError(Effect):
@@ -96,6 +100,15 @@ class GeometryError(Effect):
         out[..., 0] = zero if follow is None else np.einsum("nik,nkl->nil", zero, follow)
         out[..., 4:6] = np.einsum("nikj,kvj->nikv", twist[..., 3:], virtual)
         return out.reshape(n, 3, 6 * nk) * scene.moves_with_arm[:, None, None]
+
+    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+        turned = [v for n, v in values.items() if n.startswith(("zero", "tilt"))]
+        moved = [v for n, v in values.items() if not n.startswith(("zero", "tilt"))]
+        return all(
+            float(np.sqrt(np.mean(np.square(sizes)))) <= largest
+            for sizes, largest in ((turned, USUAL_RAD), (moved, USUAL_M))
+            if sizes
+        )
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
         return None if change.by_geometry is None else np.einsum("nigp,g->nip", change.by_geometry, theta)

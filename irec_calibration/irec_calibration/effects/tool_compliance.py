@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
+from .scales import USUAL_SHARE
 from .scene import Scene
 from .traits import Family
 
@@ -42,6 +45,9 @@ class ToolCompliance(Effect):
             in_tool[:, i, 3 + c] = f[:, j]
             in_tool[:, j, 3 + c] = f[:, i]
         return np.einsum("nij,njp->nip", scene.kin.R_tool, in_tool) * scene.moves_with_arm[:, None, None]
+
+    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+        return share <= USUAL_SHARE
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         entries = [(f"tool_{a}", f"tool_{a}", float(v)) for a, v in zip(AXES, theta[:3], strict=True)]

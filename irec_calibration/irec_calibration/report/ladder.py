@@ -58,7 +58,8 @@ def write_ladder_report(
 def _verdict(ladder: Ladder) -> str:
     """What was added, and what of it is no diagnosis."""
     named = [r for r in ladder.rungs[1:] if r.named or r.one_of]
-    others = [r for r in ladder.rungs if not r.named and not r.one_of]
+    usual = [r for r in ladder.rungs if r.usual]
+    others = [r for r in ladder.rungs if r.stands_in]
     first, last = ladder.rungs[0], ladder.rungs[-1]
     before = ladder.rungs[ladder.rungs.index(others[0]) - 1] if others else last
     if len(ladder.rungs) == 1:
@@ -70,6 +71,8 @@ def _verdict(ladder: Ladder) -> str:
     for r in named:
         if r.one_of:
             said.append(f"These data do not tell which it is, {' or '.join(find_effect(i).label for i in r.one_of)}.")
+    if usual:
+        said.append(f"The model has {_labels(usual)} as every robot has it: no cause to look for.")
     if others:
         said.append(
             f"To predict what has no name the model has {_labels(others)}, which is no diagnosis: the error on held-out poses is"
@@ -90,7 +93,7 @@ def _picture(ladder: Ladder, folder: Path) -> Figure:
     picture = models.ladder([r.title for r in rungs], errors, ses, unsure, ladder.noise_floor_m, folder / "ladder.png")
     text = "Error on poses that the model was not fitted to, with its standard error over poses."
     if any(unsure):
-        text += " Hollow: with what is one of several, or predicts structure that has no name, and is no diagnosis."
+        text += " Hollow: with what is one of several, is as in every robot, or predicts what has no name: no diagnosis."
     return Figure(picture, f"{text} Estimator: {ESTIMATOR}.")
 
 

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An effect that is there as in every robot is part of the model, and no cause that anybody has to look for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.commands.improve import in_words
+from irec_calibration.diagnose import Ladder, improve, start_terms
+from irec_calibration.diagnose.explanation import Explanation, usual
+from irec_calibration.diagnose.family import family_of
+from irec_calibration.diagnose.remainder import grow
+from irec_calibration.diagnose.study import Study, prepare, study_of
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.scene import Scene
+from irec_calibration.model import Term
+from numpy.typing import NDArray
+
+GEOMETRY = find_effect("geometry_error")
+
+
+def marker_elsewhere(scene: Scene) -> NDArray[np.float64]:
+    return scene.kin.R_tool @ np.array([0.01, 0.0, 0.015])
+
+
+@pytest.mark.parametrize(
+    ("values", "usual"),
+    [
+        ({"x_1": 4e-4, "y_2": -3e-4, "zero_2": 3e-4, "tilt_3a": 2e-4}, True),  # what is left after a geometric calibration
+        ({"x_1": 2e-3, "y_2": -1e-3, "zero_2": 3e-4, "tilt_3a": 2e-4}, False),
+        ({"x_1": 4e-4, "y_2": -3e-4, "zero_2": 3e-3, "tilt_3a": 2e-4}, False),
+        ({"zero_2": 3e-3}, False),
+    ],
+)
+def test_a_geometry_that_is_off_by_tenths_of_a_millimetre_is_usual_and_by_millimetres_it_is_not(values, usual) -> None:
+    assert GEOMETRY.is_usual(values, 0.5) == usual
+
+
+@pytest.mark.parametrize("effect_id", ["tool_compliance", "base_compliance"])
+def test_tools_and_floors_give_way_a_little_in_every_cell(effect_id) -> None:
+    effect = find_effect(effect_id)
+    assert effect.is_usual({}, 0.02) and not effect.is_usual({}, 0.05)
+
+
+def test_what_no_sound_robot_has_is_not_usual_whatever_its_size() -> None:
+    assert not find_effect("joint_backlash").is_usual({"b_1": 1e-9}, 1e-9)
+
+
+def test_the_share_of_an_effect_is_that_of_the_deflection_in_the_rows_that_were_observed() -> None:
+    stiff, soft = (study(lambda scene, c=c: c * scene.force) for c in (3e-8, 3e-7))
+    shares = []
+    for one in (stiff, soft):
+        with_it = study_of(one.observation, (*one.terms, Term(find_effect("tool_compliance"))))
+        added = Explanation(with_it.terms[-1:], with_it, 0.0, grow(with_it.bench, family_of(with_it), with_it.base))
+        shares.append(usual(added, "tool_compliance"))
+    assert shares == [True, False]
+
+
+def study(hidden) -> Study:
+    measured = synthetic.session(poses=20, seed=5, extra=hidden)
+    return prepare(measured, start_terms(measured)).to_weigh
+
+
+@pytest.fixture
+def ladder(monkeypatch) -> Ladder:
+    monkeypatch.setattr(type(find_effect("marker_offset")), "is_usual", lambda self, values, share: True)
+    return improve(synthetic.session(poses=20, seed=5, extra=marker_elsewhere))
+
+
+def test_what_every_robot_has_lowers_the_error_without_a_name(ladder) -> None:
+    verdict, last = ladder.before.verdict, ladder.rungs[-1]
+    assert (verdict.status, verdict.effects, verdict.one_of) == ("adequate", (), ())
+    assert "marker offset as every robot has it: no cause to look for" in verdict.text
+    assert "marker_offset" in ladder.model.effects and last.cv_rms_m < 0.9 * ladder.rungs[0].cv_rms_m
+    rung = next(r for r in ladder.rungs if r.added == "marker_offset")
+    assert (rung.named, rung.usual, rung.title) == (False, True, "+ marker_offset (usual)")
+    said = in_words(ladder)
+    assert "+ marker_offset (usual)" in said and "no cause to look for" in said and "(no name)" not in said
+    assert [s["usual"] for s in ladder.to_json()["steps"] if s["added"] == "marker_offset"] == [True]
+
+
+def test_a_report_says_so_too(ladder, tmp_path) -> None:
+    from irec_calibration.report.ladder import write_ladder_report
+
+    page = write_ladder_report(ladder, synthetic.session(poses=20, seed=5, extra=marker_elsewhere), tmp_path)[0]
+    text = page.read_text(encoding="utf-8")
+    assert "The model has marker offset as every robot has it: no cause to look for." in text
+    assert "which is no diagnosis" not in text
