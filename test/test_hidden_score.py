@@ -56,6 +56,8 @@ def scored(axes: ModuleType, hidden: set[str], proven=(), one_of=(), perhaps=(),
         ("joint_settling", {"per_joint": [0.0, 0.0, 1e-3, 0.0, 2e-3, 0.0]}, {"axis 3", "axis 5"}),
         ("joint_coupling", {"c_45": 4e-7, "c_56": -3e-7}, {"axes 4-5", "axes 5-6"}),
         ("encoder_harmonics", {"sin": [[0.0] * 6] * 2}, {f"axis {k}" for k in range(1, 7)}),
+        ("encoder_harmonics", {"sin": [[0.0] * 7] * 2}, {f"axis {k}" for k in range(1, 8)}),
+        ("geometry_error", {"joint_zero": [0.0] * 7}, {f"axis {k}" for k in range(1, 8)}),
     ],
 )
 def test_the_hidden_axes_are_read_from_the_truth(axes, effect: str, parameters: dict[str, Any], expected: set[str]) -> None:

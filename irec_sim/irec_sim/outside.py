@@ -57,11 +57,17 @@ def _torques(rng: np.random.Generator, p: Parameters) -> list[str]:
 Source = Callable[[np.random.Generator, Parameters], list[str]]
 
 
-def _sentence(places: tuple[str, ...], softens: bool, *sources: Source, product: bool = False) -> TruthEffect:
-    """A kind of sentence: possible places, whether a compliance changes, one source of variables for each of the function's."""
+def _sentence(places: tuple[str, ...], softens: bool, *sources: Source, product: bool = False, but: int = 0) -> TruthEffect:
+    """A kind of sentence: possible places, whether a compliance changes, one source of variables for each of the function's.
+
+    Args:
+        but: a joint of which the catalogue has such an effect; the next one has it instead.
+    """
 
     def draw(rng: np.random.Generator) -> Parameters:
         p = _place(rng, places)
+        if but and p["joint"] == but:
+            p["joint"] += 1
         chosen: list[str] = []
         for source in sources:
             chosen.append(str(rng.choice([v for v in source(rng, p) if v not in chosen])))
@@ -118,7 +124,7 @@ GRAMMAR: dict[str, TruthEffect] = {
     "torque_times_angle": _sentence(_JOINTS, False, _torques, _angles, product=True),
     # stiffness that is no constant: cast links of varying section, gears with eccentric stages, preloads that come and go
     "stiffness_of_another_angle": _sentence(_JOINTS, True, _angles),
-    "stiffness_of_own_angle": _sentence(("axial",), True, _own_angle),
+    "stiffness_of_own_angle": _sentence(("axial",), True, _own_angle, but=2),  # that of axis 2 is `counterbalance`
     "stiffness_of_two_angles": _sentence(_JOINTS, True, _angles, _angles),
     "stiffness_of_time_or_heat": _sentence(_JOINTS, True, _time_or_heat),
     "stiffness_late_after_heat": _sentence(_JOINTS, True, _gears_late),

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-ALL_AXES = frozenset(f"axis {k}" for k in range(1, 7))
+USUAL_AXES = 6
 IN_EVERY_AXIS = ("encoder_harmonics", "geometry_error")
 NAMED_BY_PARAMETER = re.compile(r"_([1-9])$")
 PAIR = re.compile(r"^c_([1-9])([1-9])$")
@@ -65,7 +65,13 @@ def hidden_axes(effect: str, parameters: dict[str, Any]) -> frozenset[str] | Non
         return frozenset(f"axis {k}" for k, v in enumerate(parameters["per_joint"], 1) if v)
     if effect == "joint_coupling":
         return frozenset(f"axes {n[2]}-{n[3]}" for n, v in parameters.items() if PAIR.match(n) and v)
-    return ALL_AXES if effect in IN_EVERY_AXIS else None
+    return _every_axis(parameters) if effect in IN_EVERY_AXIS else None
+
+
+def _every_axis(parameters: dict[str, Any]) -> frozenset[str]:
+    """All axes of an arm, of which parameters that are stated by axis tell how many it has."""
+    by_axis = parameters.get("joint_zero") or (parameters.get("sin") or [[0.0] * USUAL_AXES])[0]
+    return frozenset(f"axis {k}" for k in range(1, len(by_axis) + 1))
 
 
 def axes_in_model(model: dict[str, Any], effect: str) -> frozenset[str]:
