@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a small effect stands where the form of a larger one is known only roughly.
+"""Whether a small effect stands where the form of a larger one, with a name or without, is known only roughly.
 
 No law of the catalogue is exact. What a large effect leaves because of that goes with its own displacement, times some smooth
 function of the variables of the session; a small effect that explains no more than such a function is no cause.
@@ -15,8 +15,9 @@ from ..model import Term
 from ..model.model import displacement_of
 from ..typing import Array
 from .directions import shapes
-from .evidence import Block
+from .evidence import Block, Ground
 from .explanation import Explanation
+from .forms import forms_of
 from .settings import Settings
 from .study import Study
 
@@ -54,3 +55,35 @@ def _by_part(study: Study, term: Term) -> Iterator[Array]:
         else:
             moved = displacement_of(part, study.ready)
         yield moved
+
+
+def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
+    """How much of each name's evidence the structures that remain could feign: what their displacement is worth along that of
+    the name, beside everything else in the model.
+
+    That is their own evidence, which goes with squares, times the square of the correlation of the two displacements; at least
+    what the form of a structure, which is not quite that of its cause, leaves to any other (`share_feigned`).
+    """
+    block, study = one.remainder.block, one.study
+    x = study.bench.posterior(block).x
+    rest = [i for i, owner in enumerate(study.owners) if owner not in one.ids]
+    ground = Ground(study.bench, study.base.take(rest))
+    at = study.base.A.shape[1]
+    moved = []
+    for part in one.remainder.parts:
+        own = slice(at, at + part.structure.columns.stop - part.structure.columns.start)
+        at = own.stop
+        if not part.structure.is_bad_row:
+            moved.append((part, ground.beside(block.A[:, own] @ x[own])))
+    out = {}
+    for effect_id in one.ids:
+        columns = [i for i, owner in enumerate(study.owners) if owner == effect_id]
+        mine = ground.beside(block.A[:, columns] @ x[columns])
+        forms = forms_of(one.term(effect_id), one.study.ready)
+        others = [(p.log_evidence, v) for p, v in moved if not forms.has(p.structure)]
+        out[effect_id] = sum(e * max(_cosine(mine, v) ** 2, settings.share_feigned) for e, v in others)
+    return out
+
+
+def _cosine(a: Array, b: Array) -> float:
+    return float(a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300))

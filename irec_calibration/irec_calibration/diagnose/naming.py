@@ -13,8 +13,6 @@ import numpy as np
 
 from ..effects.traits import Family as Alike
 from ..identification.validation import gain
-from ..typing import Array
-from .evidence import Ground
 from .explanation import (
     Explanation,
     everywhere,
@@ -27,8 +25,8 @@ from .explanation import (
     without,
 )
 from .family import Family
-from .form_errors import evidence_beside
-from .forms import NO_FORMS, Forms, bends, forms_of, steps
+from .form_errors import evidence_beside, feigned
+from .forms import NO_FORMS, Forms, bends, steps
 from .held_out import held_out, only_good_poses
 from .lasting import lasts
 from .readings import against, along_readings
@@ -228,7 +226,18 @@ def _weak(
     share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
     least = {i: _least(one, i, left, settings) for i in one.ids}
     weak = [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
+    weak = weak or [i for i in one.ids if outweighed(one, bare[i], i)]
     return weak or [i for i in one.ids if against(one.study, one.term(i))]  # where others' names have moved its values
+
+
+def outweighed(one: Explanation, bare: Explanation, effect_id: str) -> bool:
+    """Whether what stays without a name in a loaded session explains more than a name does: that is as likely a piece of it.
+
+    An absolute session starts without springs, and real robots leave structure that has nothing to do with them.
+    """
+    if one.study.ready.kind != "loaded" or in_one_pose(one, effect_id) or shown_by_readings(one, effect_id):
+        return False
+    return one.named - bare.named < sum(p.log_evidence for p in one.remainder.structures)
 
 
 def _least(one: Explanation, effect_id: str, left: dict[str, float], settings: Settings) -> float:
@@ -265,35 +274,3 @@ def needed(one: Explanation, effect_id: str, settings: Settings) -> float:
         return settings.nats_to_name
     tails = settings.nats_per_bad_row * len(one.remainder.bad_rows)
     return tails + (settings.nats_in_one_pose if in_one_pose(one, effect_id) else settings.nats_to_name)
-
-
-def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
-    """How much of each name's evidence the structures that remain could feign: what their displacement is worth along that of
-    the name, beside everything else in the model.
-
-    That is their own evidence, which goes with squares, times the square of the correlation of the two displacements; at least
-    what the form of a structure, which is not quite that of its cause, leaves to any other (`share_feigned`).
-    """
-    block, study = one.remainder.block, one.study
-    x = study.bench.posterior(block).x
-    rest = [i for i, owner in enumerate(study.owners) if owner not in one.ids]
-    ground = Ground(study.bench, study.base.take(rest))
-    at = study.base.A.shape[1]
-    moved = []
-    for part in one.remainder.parts:
-        own = slice(at, at + part.structure.columns.stop - part.structure.columns.start)
-        at = own.stop
-        if not part.structure.is_bad_row:
-            moved.append((part, ground.beside(block.A[:, own] @ x[own])))
-    out = {}
-    for effect_id in one.ids:
-        columns = [i for i, owner in enumerate(study.owners) if owner == effect_id]
-        mine = ground.beside(block.A[:, columns] @ x[columns])
-        forms = forms_of(one.term(effect_id), one.study.ready)
-        others = [(p.log_evidence, v) for p, v in moved if not forms.has(p.structure)]
-        out[effect_id] = sum(e * max(_cosine(mine, v) ** 2, settings.share_feigned) for e, v in others)
-    return out
-
-
-def _cosine(a: Array, b: Array) -> float:
-    return float(a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300))

@@ -148,3 +148,18 @@ def test_a_bearing_gives_way_instead_of_a_gear_where_it_explains_more_and_instea
 
     odds = odds_beside(monkeypatch, one, bare, Forms(axes=frozenset(axes)), remainder_of, "joint_stiffening")
     assert (odds > naming.needed(one, "joint_stiffening", SETTINGS)) == named
+
+
+@pytest.mark.parametrize(
+    ("kind", "own", "left", "outweighed"),
+    [("loaded", 30.0, 40.0, True), ("loaded", 50.0, 40.0, False), ("loaded", 7.0, 0.0, False), ("absolute", 30.0, 40.0, False)],
+)
+def test_a_name_explains_no_less_than_what_stays_without_one_in_a_loaded_session(
+    monkeypatch: pytest.MonkeyPatch, kind: str, own: float, left: float, outweighed: bool
+) -> None:
+    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
+    monkeypatch.setattr(naming, "shown_by_readings", lambda *_: 0.0)
+    rest = SimpleNamespace(structures=(SimpleNamespace(log_evidence=0.75 * left), SimpleNamespace(log_evidence=0.25 * left)))
+    one: Any = SimpleNamespace(named=100.0 + own, study=SimpleNamespace(ready=SimpleNamespace(kind=kind)), remainder=rest)
+    bare: Any = SimpleNamespace(named=100.0)
+    assert naming.outweighed(one, bare, "joint_coupling") == outweighed
