@@ -100,7 +100,14 @@ class Operator:
         return future.result()
 
     def in_state(self, state: str, pose: int = 1) -> None:
-        self.until(lambda: any(f.state == state and f.pose == pose for f in self.feedback))
+        def there() -> bool:
+            if any(f.state == state and f.pose == pose for f in self.feedback):
+                return True
+            if any(f.state == "finished" for f in self.feedback):  # it can't come any more
+                pytest.fail(f"the run ended before {state} of pose {pose}; feedback: {self.feedback[-3:]}")
+            return False
+
+        self.until(there)
 
     def call(self, kind: Any, name: str, **request: Any) -> Any:
         client = self.node.create_client(kind, name)
