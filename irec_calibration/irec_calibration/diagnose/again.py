@@ -56,6 +56,10 @@ def built_again(asked: Study, study: Study, check: Callable[[], None], say: Call
 
     Args:
         asked: the model that was asked for; study: with what completes its springs.
+        check: raises where the work was cancelled; say: is told why everything is weighed again.
+
+    Returns:
+        the same two on the session as it is seen at last, and what was built on the second.
     """
     open_ = dict(SEEN)
     found = ""

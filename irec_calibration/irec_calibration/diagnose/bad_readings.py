@@ -83,6 +83,10 @@ def put_aside(study: Study, aside: Sequence[Part], noise_m: float) -> float:
     """Share of all readings that count for nothing because they stand out; the reference of a pose is one of them.
 
     Of a pose that is put aside as a whole, by few of its readings, the others do not stand out.
+
+    Args:
+        study: the model beside which they stand out; aside: parts of a remainder that are such readings.
+        noise_m: RMS over samples of the norm of the noise, m.
     """
     observation, residual = study.observation, np.linalg.norm(study.fit.residual, axis=1)
     references = study.ready.reference[observation.rows]

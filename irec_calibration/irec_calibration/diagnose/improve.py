@@ -149,16 +149,17 @@ def improve(
     readings = assessment.readings
     if assessment.weight_wrong and readings is not None and READ_AT_REFERENCES.id not in rungs[-1].effects:
         term = next(c.term for c in before.candidates if c.effect == READ_AT_REFERENCES.id)
-        last = rungs[-1]
-        heavier = replace(last.model, terms=(*last.model.terms, term))
-        effects = (*last.effects, READ_AT_REFERENCES.id)
-        rungs.append(
-            replace(
-                last, added=READ_AT_REFERENCES.id, effects=effects, log_evidence=readings.log_evidence, model=heavier, named=True
-            )
-        )
+        rungs.append(with_term(rungs[-1], term, readings.log_evidence))
     say(1.0, "done")
     return Ladder(session.name, before.comparison.noise_floor_m, tuple(rungs), before, _stopped(assessment))
+
+
+def with_term(last: Rung, term: Term, evidence: float) -> Rung:
+    """A version with a named effect that moves nothing in the session: the errors stay as they are."""
+    effects, model = (*last.effects, term.effect.id), replace(last.model, terms=(*last.model.terms, term))
+    return replace(
+        last, added=term.effect.id, effects=effects, log_evidence=evidence, model=model, named=True, one_of=(), usual=False
+    )
 
 
 def _stopped(assessment: Assessment) -> str:

@@ -64,6 +64,7 @@ class Verdict:
         evidence: what shows that structure: `repeats`, `held_out_structure`, `flexible_regression`, `readings_that_stand_out`,
             `few_poses`.
         one_of: sets of effects of which one is needed, likeliest first, where they are not told apart.
+        usual: effects that are there as in every robot: part of an improved model, no cause to look for.
         hidden_m: how large a cause outside the catalogue could be and not be seen, m.
         explained: share of the explainable excess that the named effects (or the best try) explain.
         confident: the first name stands alone; otherwise others explain the session as well.
@@ -81,6 +82,7 @@ class Verdict:
     remaining_m: float = 0.0
     evidence: tuple[str, ...] = ()
     one_of: tuple[tuple[str, ...], ...] = ()
+    usual: tuple[str, ...] = ()
     hidden_m: float = 0.0
     parts: dict[str, Parts] = field(default_factory=dict)
 
@@ -207,6 +209,7 @@ class Diagnosis:
                 "remaining_m": v.remaining_m,
                 "evidence": list(v.evidence),
                 "one_of": [list(s) for s in v.one_of],
+                "usual": list(v.usual),
                 "hidden_m": v.hidden_m,
                 "parts": parts_json(v.parts),
                 "cv_rms_after_m": self.cv_rms_after_m,

@@ -233,6 +233,8 @@ def _next(assessment: Assessment) -> tuple[Measurement, ...]:
     if assessment.other is not None:
         planned += _apart(session, assessment.study.terms, *assessment.other)
     for one, rivals in built.rivals.items():
+        if one in assessment.usual:
+            continue
         rival = exact.get(rivals[0][0])
         mine = exact.get(one)
         if rival is not None and mine is not None:

@@ -54,7 +54,7 @@ def verdict_of(
     if assessment.status == "missing_effect" and assessment.names:
         parts += _missing(assessment, shown, candidates)
     if assessment.status == "adequate":
-        parts.append("Nothing shows any other cause than noise.")
+        parts.append(f"Nothing shows any other cause than noise{' and what every robot has' if assessment.usual else ''}.")
     parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
     evidence = assessment.evidence
     if assessment.status == "unexplained" and not evidence:
@@ -101,6 +101,7 @@ def verdict_of(
         remaining_m=assessment.remaining_m,
         evidence=evidence,
         one_of=assessment.one_of,
+        usual=assessment.usual,
         hidden_m=assessment.hidden_m,
         parts={i: p for i, p in assessment.parts.items() if i in assessment.names},
     )
@@ -277,7 +278,8 @@ def _apart(assessment: Assessment, planned: Sequence[Measurement]) -> list[str]:
 
 def _rivals_apart(assessment: Assessment, planned: Sequence[Measurement]) -> list[str]:
     """Which sample would tell an effect from the likeliest other one that would do in its place, and how often to take it."""
-    pairs = [(i, others[0][0]) for i, others in assessment.built.rivals.items() if others]
+    rivals = assessment.built.rivals
+    pairs = [(i, others[0][0]) for i, others in rivals.items() if others and i not in assessment.usual]
     m = next((m for m in planned if m.separates in pairs), None)
     if m is None:
         return []

@@ -15,7 +15,7 @@ STIFFER_THAN = 100.0  # times the typical compliance: more is no gear
 TWIST_UNDER_OWN_WEIGHT = 0.02  # rad; light arms on soft drives or soft servos sag that much, none more
 LAG = 3e-3  # rad; friction of a sound gear and servo
 LAG_OVER_REPEATABILITY = 5.0  # what the side from which a joint came moves the tool by, over one standard deviation of the rest
-USUAL_SHARE = 0.03  # of the deflection, that tools and floors of sound cells give way by; what has a cause is twice as much
+USUAL_SHARE = 0.03  # of the deflection, RMS; chosen: the most that tools and floors without any cause were found to give way by
 NEAR = 1.5  # times the range over which a law of torque bends: tanh is at 0.9 there
 
 

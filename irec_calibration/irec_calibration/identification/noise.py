@@ -187,6 +187,7 @@ class Whitening:
 
 def _inverse(L: Array) -> Array:
     """Inverses of lower triangles, (k, s, s)."""
+    # one by one by their triangle takes a third of the time for large ones, and ten times as long for small ones
     if L.shape[1] <= SMALL:
         return np.asarray(np.linalg.inv(L))
     return np.stack([dtrtri(one.T, lower=0)[0].T for one in L])

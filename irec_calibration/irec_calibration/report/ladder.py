@@ -36,12 +36,12 @@ def write_ladder_report(
     """
     hero = _picture(ladder, folder)
     last = ladder.rungs[-1]
-    all_named = len(ladder.rungs) > 1 and all(r.named for r in ladder.rungs)
+    explained = len(ladder.rungs) > 1 and all(r.named or r.usual for r in ladder.rungs)
     page = Page(
         title=f"How the error fell: {session.name}",
         subtitle=f"Robot {session.serial or 'without serial'}, {len(session.poses)} poses, model {' + '.join(last.effects)}",
         verdict=_verdict(ladder),
-        status="adequate" if all_named else ladder.before.verdict.status,
+        status="adequate" if explained else ladder.before.verdict.status,
         hero=hero,
         todo=after_improvement(
             ladder,

@@ -68,7 +68,9 @@ def after_diagnosis(d: Diagnosis, session: str, model: str = "", *, without_trac
         doubt = instruments_first(d.noise)
         steps += doubt
         begin = "Until then nothing is to be added." if doubt else "Nothing is to be added."
-        if model:
+        if v.usual and not doubt:
+            steps.append(("No cause is missing. Take in what every robot has:", f"irec improve {s} -o improved"))
+        elif model:
             steps.append(
                 (f"{begin} See what the model predicts where it will be used:", f"irec predict {shlex.quote(model)} {s}")
             )

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import synthetic
@@ -10,11 +12,12 @@ from irec_calibration.commands.improve import in_words
 from irec_calibration.diagnose import Ladder, improve, start_terms
 from irec_calibration.diagnose.explanation import Explanation, usual
 from irec_calibration.diagnose.family import family_of
+from irec_calibration.diagnose.improve import with_term
 from irec_calibration.diagnose.remainder import grow
 from irec_calibration.diagnose.study import Study, prepare, study_of
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.scene import Scene
-from irec_calibration.model import Term
+from irec_calibration.model import Estimate, Term
 from numpy.typing import NDArray
 
 GEOMETRY = find_effect("geometry_error")
@@ -80,6 +83,14 @@ def test_what_every_robot_has_lowers_the_error_without_a_name(ladder) -> None:
     assert [s["usual"] for s in ladder.to_json()["steps"] if s["added"] == "marker_offset"] == [True]
 
 
+def test_a_tool_weight_that_is_added_last_is_named_whatever_came_before_it(ladder) -> None:
+    weight = Term(find_effect("tool_weight"), {"dm": Estimate(1.5, 0.1, "kg")})
+    for last in (ladder.rungs[-1], replace(ladder.rungs[-1], usual=False, one_of=("joint_backlash", "joint_stiffening"))):
+        rung = with_term(last, weight, 40.0)
+        assert (rung.title, rung.named, rung.usual, rung.one_of) == ("+ tool_weight", True, False, ())
+        assert rung.model.effects == (*last.model.effects, "tool_weight") and rung.cv_rms_m == last.cv_rms_m
+
+
 def test_a_report_says_so_too(ladder, tmp_path) -> None:
     from irec_calibration.report.ladder import write_ladder_report
 
@@ -87,3 +98,4 @@ def test_a_report_says_so_too(ladder, tmp_path) -> None:
     text = page.read_text(encoding="utf-8")
     assert "The model has marker offset as every robot has it: no cause to look for." in text
     assert "which is no diagnosis" not in text
+    assert 'class="verdict adequate"' in text
