@@ -229,7 +229,7 @@ def _falls(assessment: Assessment, shown: Shown) -> str:
     good = np.setdiff1d(np.intersect1d(asked.study.observation.rows, after.study.observation.rows), aside)
     figures = [f"{length(m.held_out.rms_m)}" for m in (asked, after)]
     usual = [f"{length(m.held_out.rms_of(np.isin(m.study.observation.rows, good)))}" for m in (asked, after)]
-    begin = "Added, the error on held-out poses falls from"
+    begin = f"Added{', with what every robot has' if assessment.usual else ''}, the error on held-out poses falls from"
     if usual == figures or not len(good):
         return f"{begin} {figures[0]} to {figures[1]}."
     return f"{begin} {usual[0]} to {usual[1]} without the readings that stand out, from {figures[0]} to {figures[1]} with them."

@@ -257,10 +257,11 @@ def _which(diagnosis: Diagnosis, session: Session, folder: Path) -> list[Section
     header = ["effect", "trial, held out", "corrected p", "parameters", "plausible", "can't be told from"]
     known = known_effects()
     physics = [f"{known[e].label.capitalize()}: {known[e].physics}" for e in v.effects if e in known]
+    physics += [f"{known[e].label.capitalize()} is there as in every robot: no cause to look for." for e in v.usual if e in known]
     skipped = [f"Not tried: {', '.join(f'{e} ({why})' for e, why in diagnosis.skipped.items())}."] if diagnosis.skipped else []
     titles = {
         "missing_effect": f"Which: {' and '.join(v.effects)}",
-        "adequate": "Which: no effect is needed",
+        "adequate": "Which: no effect is missing" if v.usual else "Which: no effect is needed",
         "unexplained": "Which: none of the catalogue",
     }
     return [

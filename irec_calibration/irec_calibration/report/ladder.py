@@ -36,7 +36,8 @@ def write_ladder_report(
     """
     hero = _picture(ladder, folder)
     last = ladder.rungs[-1]
-    explained = len(ladder.rungs) > 1 and all(r.named or r.usual for r in ladder.rungs)
+    named_all = len(ladder.rungs) > 1 and all(r.named or r.usual for r in ladder.rungs)
+    explained = named_all and not ladder.before.verdict.remaining_m
     page = Page(
         title=f"How the error fell: {session.name}",
         subtitle=f"Robot {session.serial or 'without serial'}, {len(session.poses)} poses, model {' + '.join(last.effects)}",
@@ -65,14 +66,16 @@ def _verdict(ladder: Ladder) -> str:
     if len(ladder.rungs) == 1:
         return f"No effect was added: {ladder.stopped}. {ladder.before.verdict.text}"
     said = []
-    if named:
+    if named or usual:
         errors = f"from {length(first.cv_rms_m)} to {length(before.cv_rms_m)}"
-        said.append(f"Adding {_labels(named)} lowers the error on held-out poses {errors}.")
+        added = [_labels(named)] if named else []
+        added += [f"what every robot has ({_labels(usual)})"] if usual else []
+        said.append(f"Adding {' and '.join(added)} lowers the error on held-out poses {errors}.")
     for r in named:
         if r.one_of:
             said.append(f"These data do not tell which it is, {' or '.join(find_effect(i).label for i in r.one_of)}.")
     if usual:
-        said.append(f"The model has {_labels(usual)} as every robot has it: no cause to look for.")
+        said.append(f"{_labels(usual).capitalize()} of that size is no cause to look for.")
     if others:
         said.append(
             f"To predict what has no name the model has {_labels(others)}, which is no diagnosis: the error on held-out poses is"

@@ -65,10 +65,11 @@ def study(hidden) -> Study:
     return prepare(measured, start_terms(measured)).to_weigh
 
 
-@pytest.fixture
-def ladder(monkeypatch) -> Ladder:
-    monkeypatch.setattr(type(find_effect("marker_offset")), "is_usual", lambda self, values, share: True)
-    return improve(synthetic.session(poses=20, seed=5, extra=marker_elsewhere))
+@pytest.fixture(scope="module")
+def ladder() -> Ladder:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(find_effect("marker_offset")), "is_usual", lambda self, values, share: True)
+        return improve(synthetic.session(poses=20, seed=5, extra=marker_elsewhere))
 
 
 def test_what_every_robot_has_lowers_the_error_without_a_name(ladder) -> None:
@@ -96,6 +97,35 @@ def test_a_report_says_so_too(ladder, tmp_path) -> None:
 
     page = write_ladder_report(ladder, synthetic.session(poses=20, seed=5, extra=marker_elsewhere), tmp_path)[0]
     text = page.read_text(encoding="utf-8")
-    assert "The model has marker offset as every robot has it: no cause to look for." in text
+    assert "what every robot has (marker offset) lowers the error" in text
+    assert "Marker offset of that size is no cause to look for." in text
     assert "which is no diagnosis" not in text
-    assert 'class="verdict adequate"' in text
+
+
+@pytest.mark.parametrize(("remaining_m", "colour"), [(0.0, "adequate"), (1e-5, "missing_effect")])
+def test_a_ladder_is_finished_where_all_is_named_or_usual_and_nothing_is_left(ladder, tmp_path, remaining_m, colour) -> None:
+    from irec_calibration.report import ladder as report
+
+    shown: list[str] = []
+    verdict = replace(ladder.before.verdict, status="missing_effect", effects=("joint_backlash",), remaining_m=remaining_m)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "write_page", lambda page, path: (shown.append(page.status), path)[1])
+        report.write_ladder_report(
+            replace(ladder, before=replace(ladder.before, verdict=verdict)),
+            synthetic.session(poses=20, seed=5, extra=marker_elsewhere),
+            tmp_path,
+        )
+    assert shown == [colour]
+
+
+def test_a_diagnosis_says_what_to_do_with_it_and_does_not_say_that_nothing_is_to_be_added(ladder, tmp_path) -> None:
+    from irec_calibration.report.diagnosis import write_diagnosis_report
+    from irec_calibration.report.next_steps import after_diagnosis
+
+    found = ladder.before
+    assert found.verdict.usual == ("marker_offset",) and found.to_json()["verdict"]["usual"] == ["marker_offset"]
+    ((_, command),) = after_diagnosis(found, "S")
+    assert command == "irec improve S -o improved"
+    page = write_diagnosis_report(found, synthetic.session(poses=20, seed=5, extra=marker_elsewhere), tmp_path)[0]
+    text = page.read_text(encoding="utf-8")
+    assert "Marker offset is there as in every robot" in text and "no effect is needed" not in text
