@@ -87,7 +87,7 @@ def _hero(d: Diagnosis, session: Session, folder: Path) -> Figure:
         title = f"The model leaves {length(rows[0][1])}, the noise explains {length(floor)}"
         rows += [("with the best formula", p.cv_rms_m, p.cv_rms_se_m) for p in d.proposals[:1]]
     elif v.usual:
-        title = "What the model leaves is what the noise and every robot's own explain"
+        title = "Noise and what every robot has explain what the model leaves"
         rows += [("with what every robot has", d.cv_rms_after_m, d.cv_rms_se_after_m)]
     else:
         title = "What the model leaves is what the noise explains" if v.status == "adequate" else "Error and noise"

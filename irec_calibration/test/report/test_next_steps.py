@@ -11,11 +11,11 @@ from irec_calibration.model import EIGHTEEN_DOF
 from irec_calibration.report.next_steps import after_diagnosis
 
 
-def steps(times: float, wanders: float = 0.0, model: str = "") -> list[tuple[str, str]]:
+def steps(times: float, wanders: float = 0.0, model: str = "", usual: tuple[str, ...] = ()) -> list[tuple[str, str]]:
     level = times * 30e-6
     noise = InferredNoise(30e-6, level, 0.9 * level, 1.1 * level, "residual", 300.0, wanders, 75.0)
     found = SimpleNamespace(
-        verdict=SimpleNamespace(status="adequate"), proposals=(), next_measurements=(), noise=noise,
+        verdict=SimpleNamespace(status="adequate", usual=usual), proposals=(), next_measurements=(), noise=noise,
         model=SimpleNamespace(effects=EIGHTEEN_DOF),
     )  # fmt: skip
     return after_diagnosis(found, "SESSION", model)  # type: ignore[arg-type]
@@ -37,3 +37,8 @@ def test_noise_far_beyond_what_is_stated_asks_for_a_look_at_the_instruments_firs
 def test_noise_that_wanders_for_the_most_part_does_so_too():
     (first, _), _ = steps(1.0, wanders=0.6)
     assert first.startswith("What passes for noise wanders for 60 %:")
+
+
+@pytest.mark.parametrize(("times", "command"), [(1.0, "irec improve SESSION -o improved"), (5.9, "irec solve SESSION")])
+def test_what_every_robot_has_is_taken_in_where_the_instruments_are_not_in_doubt(times, command):
+    assert steps(times, usual=("tool_compliance",))[-1][1].startswith(command)
