@@ -26,11 +26,15 @@ def made(rows: list[int], sizes: list[float]) -> SimpleNamespace:
 
 
 def missing(
-    *names: str, asked: SimpleNamespace | None = None, after: SimpleNamespace | None = None, aside: tuple[int, ...] = ()
+    *names: str,
+    asked: SimpleNamespace | None = None,
+    after: SimpleNamespace | None = None,
+    aside: tuple[int, ...] = (),
+    usual: tuple[str, ...] = (),
 ) -> str:
     parts = {i: Parts(proven=("axis 1",), perhaps=("axis 3",)) for i in names}
     bad = [SimpleNamespace(structure=SimpleNamespace(rows=aside))] if aside else []
-    found = SimpleNamespace(names=names, parts=parts, stand_out=bad)
+    found = SimpleNamespace(names=names, parts=parts, stand_out=bad, usual=usual)
     same = made([1, 2], [5e-5, 5e-5])
     return " ".join(wording._missing(found, SimpleNamespace(asked=asked or same, after=after or same), ()))  # type: ignore[arg-type]
 
@@ -57,9 +61,16 @@ def sample(difference_m: float, separates: tuple[str, ...] = ("tool_compliance",
     return Measurement(4, "normal", separates, difference_m, 0.5 * (difference_m / 41e-6) ** 2)
 
 
-def apart(difference_m: float, noise: InferredNoise = AS_STATED, rivals: tuple[str, ...] = ("base_compliance",)) -> str:
+def test_what_every_robot_has_is_said_to_be_part_of_how_far_the_error_falls() -> None:
+    assert "Added, with what every robot has, the error" in missing("joint_backlash", usual=("geometry_error",))
+    assert "Added, the error" in missing("joint_backlash")
+
+
+def apart(
+    difference_m: float, noise: InferredNoise = AS_STATED, rivals: tuple[str, ...] = ("base_compliance",), usual: tuple[str, ...] = ()
+) -> str:
     built = SimpleNamespace(rivals={"tool_compliance": tuple((r, 0.1) for r in rivals)})
-    assessment = SimpleNamespace(built=built, noise=noise)
+    assessment = SimpleNamespace(built=built, noise=noise, usual=usual)
     return " ".join(wording._rivals_apart(assessment, [sample(difference_m)]))  # type: ignore[arg-type]
 
 
@@ -76,6 +87,10 @@ def apart(difference_m: float, noise: InferredNoise = AS_STATED, rivals: tuple[s
 def test_how_often_a_sample_is_to_be_taken_is_said(difference_m: float, noise: InferredNoise, words: str) -> None:
     text = apart(difference_m, noise)
     assert words in text and "tool compliance" in text and "base compliance" in text
+
+
+def test_nobody_is_sent_to_tell_what_every_robot_has_from_its_rival() -> None:
+    assert apart(200e-6) and apart(200e-6, usual=("tool_compliance",)) == ""
 
 
 def test_a_sample_that_separates_others_is_not_said_to_separate_the_rivals() -> None:
