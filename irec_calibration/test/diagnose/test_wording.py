@@ -67,7 +67,10 @@ def test_what_every_robot_has_is_said_to_be_part_of_how_far_the_error_falls() ->
 
 
 def apart(
-    difference_m: float, noise: InferredNoise = AS_STATED, rivals: tuple[str, ...] = ("base_compliance",), usual: tuple[str, ...] = ()
+    difference_m: float,
+    noise: InferredNoise = AS_STATED,
+    rivals: tuple[str, ...] = ("base_compliance",),
+    usual: tuple[str, ...] = (),
 ) -> str:
     built = SimpleNamespace(rivals={"tool_compliance": tuple((r, 0.1) for r in rivals)})
     assessment = SimpleNamespace(built=built, noise=noise, usual=usual)
