@@ -21,6 +21,7 @@ from .naming import needed, odds_of, proven, pruned, refused
 from .remainder import grow
 from .rivals import Check, Rivals, rivals_of
 from .settings import SETTINGS, Settings
+from .several import Tried, several_together
 from .study import Study
 from .tries import step, tried_on, two_together, waiting
 
@@ -39,7 +40,7 @@ class Built:
         steps: the start and every model on the way, the last is the result; evidence: of the name that each step added.
         closest: the best name that was refused at the end, and why.
         rivals: added effect -> others that would do in its place, each with the odds against it in nats.
-        possible: effects that can act on the session; refused: of these, fitted exactly on top of the final model and not named.
+        possible: effects that can act on the session; tried: added effects of a model -> of these, fitted exactly on top of it.
         seen: the observation as the last model asks to see it (`Look`), where that is otherwise; then nothing else is final.
     """
 
@@ -54,7 +55,7 @@ class Built:
     reason: str = ""
     rivals: dict[str, tuple[tuple[str, float], ...]] = field(default_factory=dict)
     possible: tuple[Option, ...] = ()
-    refused: tuple[Explanation, ...] = ()
+    tried: Tried = field(default_factory=dict)
     seen: Observation | None = None
 
     @property
@@ -69,7 +70,7 @@ class _Way:
     Attributes:
         found: effects that can act on the session; near: added effect -> those that were about as good when it came in.
         tried: what was fitted exactly on top of the last model.
-        looked_at: the model that the observation was last asked of.
+        looked_at: the model that the observation was last asked of; beyond: what was fitted exactly on top of what has all names.
     """
 
     start: Explanation
@@ -87,6 +88,7 @@ class _Way:
     closest: Explanation | None = None
     reason: str = ""
     looked_at: Explanation | None = None
+    beyond: Tried = field(default_factory=dict)
 
     def otherwise(self) -> Observation | None:
         """The observation as the last model asks to see it; None where that is as it is."""
@@ -150,6 +152,18 @@ class _Way:
         self.evidence |= both[1]
         return both[0]
 
+    def several(self) -> None:
+        """Take in several effects that stand only together."""
+        current = self.steps[-1]
+        tried = [t for t in self.tried if set(t.ids[:-1]) == set(current.ids)]
+        found = several_together(self.start, current, self.found, tried, self.family, self.check, self.settings)
+        self.beyond = found.tried
+        if found.model is not None:
+            self.evidence = found.evidence
+            self.near |= found.near
+            self.closest, self.reason = None, ""
+            self.steps.append(found.model)
+
     def back(self) -> Explanation:
         """Leave the names that do not stand; returns the last model, which may have had more."""
         whole = self.steps[-1]
@@ -202,12 +216,12 @@ def build(study: Study, check: Check = lambda: None, look: Look = lambda *_: Non
         if whole is way.steps[-1]:
             break
         fallen |= dict.fromkeys(i for i in whole.ids if i not in way.steps[-1].ids)
+    way.several()
     names = way.steps[-1].ids
     rivals = way.rivals([i for i in dict.fromkeys(gone) if i not in names])
-    beyond = tuple(t for t in way.tried if set(t.ids[:-1]) == set(way.steps[-1].ids))
     return Built(
         start, family, way.trials, skipped, way.singles, tuple(way.steps), way.evidence, way.closest, way.reason, rivals.of,
-        tuple(found), beyond, way.otherwise(),
+        tuple(found), way.beyond, way.otherwise(),
     )  # fmt: skip
 
 

@@ -70,6 +70,12 @@ def steps(term: Term, scene: Scene) -> frozenset[int]:
     return _axes(term, scene) if follows_step(term.effect, scene) else frozenset()
 
 
+def has_form_of(structure: Structure, term: Term, scene: Scene) -> bool:
+    """Whether a structure turns or moves what an effect does by what the effect follows: it may only mend its form."""
+    by_step = structure.by_step and ("step" in term.effect.needs or "order" in term.effect.needs)
+    return forms_of(term, scene).has(structure) or (by_step and structure.axis in _axes(term, scene))
+
+
 def bends(term: Term, scene: Scene) -> frozenset[int]:
     """Axes of which an effect bends the curve of angle over torque, whatever was before."""
     return frozenset() if "order" in term.effect.needs else forms_of(term, scene).axes

@@ -26,10 +26,11 @@ from .explanation import (
 )
 from .family import Family
 from .form_errors import evidence_beside, feigned
-from .forms import NO_FORMS, Forms, bends, steps
+from .forms import NO_FORMS, Forms, bends, has_form_of, steps
 from .held_out import held_out, only_good_poses
 from .lasting import lasts
 from .readings import against, along_readings
+from .remainder import Part
 from .settings import Settings
 
 
@@ -43,22 +44,34 @@ def refused(start: Explanation, current: Explanation, one: Explanation, family: 
             words = current.remainder.structures[0].structure.words
             return f"what no effect of the catalogue has explains as much: {words}", odds
         return "its evidence is too small", odds
-    beyond = implausible(one, one.ids[-1])
-    if beyond:
-        return beyond, odds
-    before, after = (only_good_poses(held_out(e.study), one.study, one.remainder) for e in (current, one))
-    mean, se, _ = gain(before, after)
-    # what few poses show helps on few: the evidence has to bring what the held-out error lacks, up to as much again as it needs
-    helped = min(mean / max(settings.held_out_sigmas * se, 1e-300), 1.0) if np.isfinite(mean) and mean > 0.0 else -np.inf
-    more = settings.nats_to_name * (1.0 - helped)
-    if odds < needed(one, one.ids[-1], settings) + more and not in_one_pose(one, one.ids[-1]):
-        return "it does not help on held-out poses", odds
+    why = why_not_by_itself(current, one, odds, settings)
+    if why:
+        return why, odds
     if in_one_pose(one, one.ids[-1]):
         stays = lasts(one.study, one.added[-1])
         if stays < settings.nats_to_name:
             told = "do not have it" if stays < -settings.nats_to_name else "do not tell whether they have it too"
             return f"the readings of later poses {told}, so it may be a knocked reference or reflector", odds
     return "", odds
+
+
+def why_not_by_itself(current: Explanation, one: Explanation, evidence: float, settings: Settings) -> str:
+    """Why an effect is not taken in on top of a model, whatever else explains as much, or an empty string: values that can't be,
+    or an error on held-out poses that does not fall.
+
+    Args:
+        evidence: of the effect, nats.
+    """
+    effect_id = one.ids[-1]
+    beyond = implausible(one, effect_id)
+    if beyond or in_one_pose(one, effect_id):
+        return beyond
+    before, after = (only_good_poses(held_out(e.study), one.study, one.remainder) for e in (current, one))
+    mean, se, _ = gain(before, after)
+    # what few poses show helps on few: the evidence has to bring what the held-out error lacks, up to as much again as it needs
+    helped = min(mean / max(settings.held_out_sigmas * se, 1e-300), 1.0) if np.isfinite(mean) and mean > 0.0 else -np.inf
+    more = settings.nats_to_name * (1.0 - helped)
+    return "it does not help on held-out poses" if evidence < needed(one, effect_id, settings) + more else ""
 
 
 def odds_of(
@@ -226,18 +239,28 @@ def _weak(
     share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
     least = {i: _least(one, i, left, settings) for i in one.ids}
     weak = [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
-    weak = weak or [i for i in one.ids if outweighed(one, bare[i], i)]
+    weak = weak or [i for i in one.ids if outweighed(one, bare, i)]
     return weak or [i for i in one.ids if against(one.study, one.term(i))]  # where others' names have moved its values
 
 
-def outweighed(one: Explanation, bare: Explanation, effect_id: str) -> bool:
+def outweighed(one: Explanation, bare: dict[str, Explanation], effect_id: str) -> bool:
     """Whether what stays without a name in a loaded session explains more than a name does: that is as likely a piece of it.
 
-    An absolute session starts without springs, and real robots leave structure that has nothing to do with them.
+    What has the form of another name that explains more than it does is that one's, whose form is not quite right. An absolute
+    session starts without springs, and real robots leave structure that has nothing to do with them.
+
+    Args:
+        bare: the model without each of its names.
     """
     if one.study.ready.kind != "loaded" or in_one_pose(one, effect_id) or shown_by_readings(one, effect_id):
         return False
-    return one.named - bare.named < sum(p.log_evidence for p in one.remainder.structures)
+    own = {i: one.named - b.named for i, b in bare.items()}
+    others = [(t, own[t.effect.id]) for t in one.added if t.effect.id != effect_id]
+
+    def mends(part: Part) -> bool:
+        return any(e > part.log_evidence and has_form_of(part.structure, t, one.study.ready) for t, e in others)
+
+    return own[effect_id] < sum(p.log_evidence for p in one.remainder.structures if not mends(p))
 
 
 def _least(one: Explanation, effect_id: str, left: dict[str, float], settings: Settings) -> float:

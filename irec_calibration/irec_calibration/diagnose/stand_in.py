@@ -60,15 +60,13 @@ def stand_ins(
     if len(built.start.study.bench.poses) < settings.fewest_poses:
         return ()
     current = built.final
-    tried: Sequence[Explanation] = built.refused
     while len(current.added) < settings.most_names:
-        tried = tried or step(built.start, current, built.possible, built.family, None, check, settings)
+        tried = built.tried.get(current.ids) or step(built.start, current, built.possible, built.family, None, check, settings)
         found = _best(tried, current, out[-1].model if out else after, session, check, settings)
         if found is None:
             break
         current, one = found
         out.append(one)
-        tried = ()
     return tuple(out)
 
 
