@@ -17,6 +17,7 @@ from .study import Study
 DEGREE = 3  # of a curve over one variable
 TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment over which a play is taken up
 SEEN_AT, TURNS = ("marker_x", "marker_y", "marker_z"), 4  # columns of a reading; waves per turn of an encoder that are tried
+ALL_AXES = ("turning the axes", "as compliance of the axes")
 TYPICAL_DISPLACEMENT = 3e-5  # m; what a coefficient of 1 moves; the amplitude itself is inferred
 
 
@@ -128,8 +129,13 @@ def shaped(study: Study) -> Iterator[Direction]:
             # an axis that its own torque turns by any curve: what stiffening, play and friction of that axis are forms of
             law_of = d.axis if d.axis is not None and name == f"tau_{d.axis + 1}" else None
             by_angle = d.axis is not None and name == f"joint_{d.axis + 1}" and f"tau_{d.axis + 1}" in d.variables
+            softer = d.axis if by_angle else None
+            if d.words in ALL_AXES: # each axis by itself is a direction of its own
+                variable, _, number = name.partition("_")
+                law_of = int(number) - 1 if variable == "tau" else None
+                softer = int(number) - 1 if variable == "joint" and "compliance" in d.words else None
             variables = (name, *(v for v in d.variables if v != name))
-            yield Direction(d.words, variables, columns, d.axis, law_of, d.axis if by_angle else None)
+            yield Direction(d.words, variables, columns, d.axis, law_of, softer)
 
 
 def two_variables(study: Study) -> Iterator[Direction]:

@@ -165,7 +165,8 @@ def implausible(one: Explanation, effect_id: str) -> str:
         return not_read
     axial = (t for t in one.study.terms if t.effect.compliance_of is Axes.ACTUATED)
     compliance = {name: e.value for t in axial for name, e in t.estimates.items()}
-    return term.effect.why_impossible({name: (e.value, e.se) for name, e in term.estimates.items()}, compliance)
+    values = {name: (e.value, e.se) for name, e in term.estimates.items()}
+    return term.effect.why_impossible(values, compliance, one.study.ready)
 
 
 def usual(one: Explanation, effect_id: str) -> bool:

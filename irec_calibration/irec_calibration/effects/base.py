@@ -194,11 +194,12 @@ class Effect(ABC):
         many, before a session is seen, natural log."""
         return 0.0
 
-    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         """Why fitted values can't be, by themselves or beside the compliances of the axes in the model; empty where they can.
 
         Args:
-            values: parameter -> value and standard error; compliance: `c_k` -> compliance of axis k, rad/(N m).
+            values: parameter -> value and standard error; compliance: `c_k` -> compliance of axis k, rad/(N m);
+                scene: the session that they were fitted to.
         """
         return ""
 

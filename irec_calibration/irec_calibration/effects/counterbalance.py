@@ -16,6 +16,7 @@ from .scene import Scene
 from .traits import Family
 
 AXIS = 1  # index of joint_2
+NAMES = ("a", "b", "a_twice", "b_twice")
 
 
 class Counterbalance(Effect):
@@ -23,7 +24,8 @@ class Counterbalance(Effect):
     label = "counterbalance"
     physics = (
         "A spring or gas balancer acts in parallel with axis 2; the share of the load that it carries varies with its angle: "
-        "J_2 (a sin q_2 + b cos q_2) tau_2. Missing, the compliance of axis 2 seems to vary with q_2."
+        "J_2 (a sin q_2 + b cos q_2 + a_twice sin 2 q_2 + b_twice cos 2 q_2) tau_2: its force times the change of its lever, and "
+        "its stiffness times the square of that. Missing, the compliance of axis 2 seems to vary with q_2."
     )
     family = Family.TORQUE_LAW
     by_angle = True
@@ -33,24 +35,20 @@ class Counterbalance(Effect):
             return ()
         scale = 0.3 * typical_compliance(scene.robot)[AXIS]
         limits = (-20.0 * scale, 20.0 * scale)
-        return (
-            Parameter("a", "rad/(N m)", scale, plausible=limits, axis=AXIS),
-            Parameter("b", "rad/(N m)", scale, plausible=limits, axis=AXIS),
-        )
+        return tuple(Parameter(name, "rad/(N m)", scale, plausible=limits, axis=AXIS) for name in NAMES)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         axis_2 = scene.J[:, :, AXIS] * scene.load_torque()[:, None, AXIS]
-        angle = scene.q[:, None, AXIS]
-        return np.stack([axis_2 * np.sin(angle), axis_2 * np.cos(angle)], axis=2)
+        return axis_2[:, :, None] * harmonics(scene.q[:, AXIS])[:, None, :]
 
-    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         own = compliance.get(f"c_{AXIS + 1}")
-        (a, a_se), (b, b_se) = values.get("a", (0.0, 0.0)), values.get("b", (0.0, 0.0))
-        most = math.hypot(a, b)
-        if own is None or not most > own + 2.0 * math.hypot(a_se, b_se):
+        known = [values.get(name, (0.0, 0.0)) for name in NAMES]
+        taken = float(-(harmonics(scene.q[:, AXIS]) @ [value for value, _ in known]).min())
+        if own is None or not taken > own + 2.0 * math.hypot(*(se for _, se in known)):
             return ""
         return (
-            f"it would change the compliance of axis {AXIS + 1} by up to {most:.3g} rad/(N m),"
+            f"it would take {taken:.3g} rad/(N m) from the compliance of axis {AXIS + 1},"
             f" and a balancer can't take more than the {own:.3g} that the axis has"
         )
 
@@ -58,11 +56,17 @@ class Counterbalance(Effect):
         return _Balancer(*theta) if len(theta) else LeftOut("has no axis to act on in this robot")
 
 
+def harmonics(q: Array) -> Array:
+    """What each parameter is multiplied by at angles of axis 2, rad, (n,) -> (n, 4)."""
+    return np.stack([np.sin(q), np.cos(q), np.sin(2.0 * q), np.cos(2.0 * q)], axis=1)
+
+
 class _Balancer(ColumnLaw):
     columns = (f"joint_{AXIS + 1}",)
 
-    def __init__(self, a: float, b: float) -> None:
-        self._a, self._b = float(a), float(b)
+    def __init__(self, a: float, b: float, a_twice: float, b_twice: float) -> None:
+        self._a, self._b, self._a_twice, self._b_twice = float(a), float(b), float(a_twice), float(b_twice)
 
     def displacement(self, tick: Tick, tau: Array) -> Array:
-        return (self._a * math.sin(tick.q[AXIS]) + self._b * math.cos(tick.q[AXIS])) * tau
+        s, c = math.sin(tick.q[AXIS]), math.cos(tick.q[AXIS])
+        return (self._a * s + self._b * c + self._a_twice * 2.0 * s * c + self._b_twice * (2.0 * c * c - 1.0)) * tau

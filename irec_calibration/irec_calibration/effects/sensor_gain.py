@@ -40,7 +40,7 @@ class SensorGain(Effect):
         # a bridge or an amplifier that fails loses as much of a channel as this, so nothing within the bounds is implausible
         return tuple(Parameter(n, "1", 0.03, -LIMIT, LIMIT, group="gain" if n in ("e_xx", "e_yy") else n) for n in NAMES)
 
-    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float]) -> str:
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         E = crosstalk(np.array([values.get(n, (0.0, 0.0))[0] for n in NAMES]))
         turns, rest = np.linalg.norm(E - E.T) / 2.0, np.linalg.norm(E + E.T) / 2.0
         if turns == 0.0 or rest >= LEAST_BESIDE_TURNING * turns:

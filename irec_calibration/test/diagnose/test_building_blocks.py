@@ -164,6 +164,18 @@ def test_a_compliance_that_goes_with_its_own_angle_is_a_form_of_a_balancer_and_o
         assert not by_gear.has(s)
 
 
+def test_what_turns_all_axes_by_what_is_one_axis_own_has_that_axis_law_in_it() -> None:
+    """Each axis by itself is a structure of its own, so nothing that has none of that law in it goes unasked."""
+    found = study()
+    of_all = [s for s in family_of(found).structures if s.words in ("turning the axes", "as compliance of the axes")]
+    by_torque, by_angle = ([s for s in of_all if s.variables[0].startswith(v)] for v in ("tau_", "joint_"))
+    assert len(by_torque) == 12 and len(by_angle) == 12
+    assert all(s.law_of == int(s.variables[0][-1]) - 1 and s.softer_by_angle is None for s in by_torque)
+    compliance = [s for s in by_angle if "compliance" in s.words]
+    assert all(s.softer_by_angle == int(s.variables[0][-1]) - 1 for s in compliance)
+    assert all(s.softer_by_angle is None and s.law_of is None for s in by_angle if s not in compliance)
+
+
 def test_two_models_are_compared_at_the_noise_of_the_first_whatever_each_takes_for_noise() -> None:
     found = study(play_of_axis_4)
     whiten = found.observation.whiten

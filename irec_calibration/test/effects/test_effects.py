@@ -237,19 +237,36 @@ def test_springs_carry_what_creeps_of_them_along() -> None:
         np.testing.assert_allclose(column, by_difference, atol=1e-6 * np.abs(column).max())
 
 
-def test_a_balancer_can_take_no_more_than_its_axis_has():
+def test_a_balancer_can_take_no_more_than_its_axis_has(scene):
+    """At no angle that was measured: sin q_2 comes to the largest of the session, beyond it nothing is known."""
     balancer = find_effect("counterbalance")
-    sure = {"a": (3e-7, 1e-8), "b": (4e-7, 1e-8)}
-    unsure = {"a": (3e-7, 1e-8), "b": (4e-7, 2e-7)}
-    assert balancer.why_impossible(sure, {"c_2": 6e-7}) == ""
-    assert "5e-07 rad/(N m)" in balancer.why_impossible(sure, {"c_2": 2e-7})
-    assert balancer.why_impossible(unsure, {"c_2": 2e-7}) == ""
-    assert balancer.why_impossible(sure, {}) == ""
+    most = np.sin(scene.q[:, 1]).max()
+    assert 0.0 < most < 0.99, "no example: axis 2 is nowhere, or everywhere"
+    taken = {"a": (-4e-7, 1e-8)}
+    own = 4e-7 * most
+    assert balancer.why_impossible(taken, {"c_2": 1.1 * own}, scene) == ""
+    assert f"{own:.3g} rad/(N m)" in balancer.why_impossible(taken, {"c_2": 0.1 * own}, scene)
+    assert balancer.why_impossible({"a": (-4e-7, 2e-7)}, {"c_2": 0.1 * own}, scene) == ""
+    assert balancer.why_impossible(taken, {}, scene) == ""
+    assert balancer.why_impossible(taken | {"b": (-9e-7, 1e-8)}, {"c_2": 1.1 * own}, scene) != ""
 
 
-def test_a_crosstalk_that_only_turns_the_force_is_a_turned_sensor():
+def test_a_spring_beside_axis_2_acts_by_the_square_of_its_lever(scene):
+    """A lever r sin(q - q_0) and a stiffness k take k r^2 sin^2(q - q_0) of the load: all four parameters and a constant."""
+    effect = find_effect("counterbalance")
+    q = scene.q[:, 1]
+    own = scene.J[:, :, 1] * scene.load_torque()[:, None, 1]
+    wanted = (own * np.sin(q - 0.4)[:, None] ** 2).ravel()
+    theta = np.array([p.start for p in effect.parameters(scene)])
+    A = np.concatenate([effect.regressor(scene, theta).reshape(len(wanted), -1), own.reshape(-1, 1)], axis=1)
+    found = np.linalg.lstsq(A, wanted, rcond=None)[0]
+    assert np.allclose(A @ found, wanted, atol=1e-12)
+    assert np.allclose(found[:4], [0.0, 0.0, -0.5 * np.sin(0.8), -0.5 * np.cos(0.8)], atol=1e-6)
+
+
+def test_a_crosstalk_that_only_turns_the_force_is_a_turned_sensor(scene):
     gain = find_effect("sensor_gain")
-    assert "0.15 rad" in gain.why_impossible({"e_xy": (0.147, 0.01), "e_yx": (-0.153, 0.01)}, {})
-    assert gain.why_impossible({"e_xy": (0.15, 0.01)}, {}) == ""
-    assert gain.why_impossible({"e_xy": (0.15, 0.01), "e_yx": (-0.1, 0.01)}, {}) == ""
-    assert gain.why_impossible({"e_xx": (0.02, 0.01)}, {}) == ""
+    assert "0.15 rad" in gain.why_impossible({"e_xy": (0.147, 0.01), "e_yx": (-0.153, 0.01)}, {}, scene)
+    assert gain.why_impossible({"e_xy": (0.15, 0.01)}, {}, scene) == ""
+    assert gain.why_impossible({"e_xy": (0.15, 0.01), "e_yx": (-0.1, 0.01)}, {}, scene) == ""
+    assert gain.why_impossible({"e_xx": (0.02, 0.01)}, {}, scene) == ""
