@@ -17,11 +17,12 @@ from .candidates import Option, Trial, options
 from .explanation import Explanation, reshaped_again, without
 from .family import Family
 from .level import family_in_view
-from .naming import needed, odds_of, proven, pruned, refused
+from .naming import needed, odds_of, refused
 from .remainder import grow
 from .rivals import Check, Rivals, rivals_of
 from .settings import SETTINGS, Settings
 from .several import Tried, several_together
+from .standing import proven, pruned
 from .study import Study
 from .tries import step, tried_on, two_together, waiting
 

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether an effect may be named: its evidence over any nonparametric structure in its place, and beside all other names.
+"""Whether an effect may be named on top of a model: its evidence over any nonparametric structure in its place.
 
-Asked when an effect comes in, again of all others when one has come, and of the whole at the end.
+Asked when an effect comes in; whether all names of a model stand beside each other: `standing`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from ..effects.traits import Family as Alike
 from ..identification.validation import gain
 from .explanation import (
     Explanation,
-    everywhere,
     implausible,
     in_one_pose,
     of_axes,
@@ -25,12 +23,10 @@ from .explanation import (
     without,
 )
 from .family import Family
-from .form_errors import evidence_beside, feigned
-from .forms import NO_FORMS, Forms, bends, has_form_of, steps
+from .forms import NO_FORMS, Forms, bends, steps
 from .held_out import held_out, only_good_poses
 from .lasting import lasts
-from .readings import against, along_readings
-from .remainder import Part
+from .readings import along_readings
 from .settings import Settings
 
 
@@ -166,115 +162,6 @@ def with_others_by_step(start: Explanation, one: Explanation, bare: Explanation,
         none = without(start, none, i, family)
     instead = none.named + max(remainder_of(none.study, family, one.remainder.parts).gained, none.remainder.gained)
     return min(with_all - absent, with_all - instead)
-
-
-def pruned(start: Explanation, one: Explanation, family: Family, settings: Settings) -> Explanation:
-    """A model without the effects that what came last made needless."""
-    while len(one.added) > 1:
-        for effect_id in one.ids[:-1]:
-            bare = without(start, one, effect_id, family)
-            if odds_of(start, one, bare, effect_id, family, settings) < settings.nats_to_name:
-                one = bare
-                break
-        else:
-            break
-    return one
-
-
-def proven(
-    start: Explanation, steps: Sequence[Explanation], family: Family, settings: Settings
-) -> tuple[Explanation, dict[str, float]]:
-    """The model with the most names that no structure could feign and that are not too small beside the others; evidence of each.
-
-    A structure of unknown form can feign an effect that moves the marker alike, and so can a named one whose form is not
-    quite right. Two names may be too weak only because the later does part of what the other does: then the model stands that
-    was there before.
-
-    Args:
-        steps: the models on the way, the last has all names.
-    """
-    kept, evidence = standing(start, steps[-1], family, settings)
-    for before in reversed(steps[:-1]):
-        if len(before.ids) > len(kept.ids):
-            more, odds = standing(start, before, family, settings)
-            kept, evidence = (more, odds) if len(more.ids) > len(kept.ids) else (kept, evidence)
-    return kept, evidence
-
-
-def standing(start: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[Explanation, dict[str, float]]:
-    """A model whose weakest name was taken out until all stand, and the evidence of each."""
-    while one.added:
-        bare = {i: without(start, one, i, family) for i in one.ids}
-        evidence = {i: odds_of(start, one, b, i, family, settings) for i, b in bare.items()}
-        weak = _weak(start, one, bare, evidence, settings)
-        if not weak:
-            return one, evidence
-        one = bare[min(weak, key=lambda i: evidence[i])]
-    return one, {}
-
-
-def all_stand(start: Explanation, one: Explanation, family: Family, settings: Settings) -> dict[str, float]:
-    """Evidence of each name of a model, where all stand; else nothing, as soon as one is too weak, the last added first."""
-    bare: dict[str, Explanation] = {}
-    evidence: dict[str, float] = {}
-    left = feigned(one, settings)
-    for i in reversed(one.ids):
-        bare[i] = without(start, one, i, family)
-        evidence[i] = odds_of(start, one, bare[i], i, family, settings)
-        if evidence[i] < _least(one, i, left, settings):
-            return {}
-    return {} if _weak(start, one, bare, evidence, settings) else evidence
-
-
-def _weak(
-    start: Explanation, one: Explanation, bare: dict[str, Explanation], evidence: dict[str, float], settings: Settings
-) -> list[str]:
-    """Names of a model that do not stand.
-
-    Args:
-        bare: the model without each of its names; evidence: of each.
-    """
-    left = feigned(one, settings)
-    everything = max(start.study.bench.posterior(start.study.base).chi2 - one.chi2, 1e-9)
-    share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
-    least = {i: _least(one, i, left, settings) for i in one.ids}
-    weak = [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
-    weak = weak or [i for i in one.ids if outweighed(one, bare, i)]
-    return weak or [i for i in one.ids if against(one.study, one.term(i))]  # where others' names have moved its values
-
-
-def outweighed(one: Explanation, bare: dict[str, Explanation], effect_id: str) -> bool:
-    """Whether what stays without a name in a loaded session explains more than a name does: that is as likely a piece of it.
-
-    What has the form of another name that explains more than it does is that one's, whose form is not quite right. An absolute
-    session starts without springs, and real robots leave structure that has nothing to do with them.
-
-    Args:
-        bare: the model without each of its names.
-    """
-    if one.study.ready.kind != "loaded" or in_one_pose(one, effect_id) or shown_by_readings(one, effect_id):
-        return False
-    own = {i: one.named - b.named for i, b in bare.items()}
-    others = [(t, own[t.effect.id]) for t in one.added if t.effect.id != effect_id]
-
-    def mends(part: Part) -> bool:
-        return any(e > part.log_evidence and has_form_of(part.structure, t, one.study.ready) for t, e in others)
-
-    return own[effect_id] < sum(p.log_evidence for p in one.remainder.structures if not mends(p))
-
-
-def _least(one: Explanation, effect_id: str, left: dict[str, float], settings: Settings) -> float:
-    """Evidence that a name needs beside what structures that remain could feign of it."""
-    surely = everywhere(one, effect_id) or shown_by_readings(one, effect_id)
-    return needed(one, effect_id, settings) + (0.0 if surely else left[effect_id])
-
-
-def _beside_larger(one: Explanation, effect_id: str, share: dict[str, float], settings: Settings) -> float:
-    """Evidence of an effect beside much larger ones whose form is known only roughly; inf where none is."""
-    if shown_by_readings(one, effect_id):  # no form of another effect moves readings
-        return np.inf
-    larger = [i for i in one.ids if share[effect_id] < settings.share_to_name * share[i]]
-    return evidence_beside(one, effect_id, larger, settings) if larger else np.inf
 
 
 def one_cause_of_bad_rows(

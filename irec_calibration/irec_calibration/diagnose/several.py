@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from .candidates import Option
 from .explanation import Explanation, in_one_pose
 from .family import Family
-from .naming import needed, standing, why_not_by_itself
+from .naming import needed, why_not_by_itself
 from .rivals import Check
 from .settings import Settings
+from .standing import standing
 from .tries import step
 
 Tried = dict[tuple[str, ...], tuple[Explanation, ...]]

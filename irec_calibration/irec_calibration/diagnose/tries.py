@@ -5,16 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..effects import Evidence
 from .candidates import Option, Trial, try_option
 from .evidence import Block, Ground
 from .explanation import Explanation, explain, reshaped_again
 from .family import Family
 from .forms import bends, forms_of
-from .naming import all_stand, refused
+from .naming import refused
 from .readings import by_readings
 from .remainder import grow
 from .rivals import Check
 from .settings import Settings
+from .standing import all_stand
 
 
 def waiting(current: Explanation, found: Sequence[Option]) -> set[str]:
@@ -121,7 +123,9 @@ def _screened(current: Explanation, chosen: Sequence[Trial], family: Family, set
         guess.append(rest.log_evidence + trial.best.log_prior)
     if not guess:
         return []
-    top = max(guess)
+    # what one pose shows is proven by later readings, and may be refused whatever it explains: others are not measured by it
+    one_pose = [t.effect.evidence is Evidence.ONE_POSE and study.ready.kind == "loaded" for t in chosen]
+    top = max([v for v, alone in zip(guess, one_pose, strict=True) if not alone] or guess)
     reach = max(settings.nats_to_refit, 0.1 * (top - study.bench.posterior(study.base).log_evidence))
     ranked = sorted(zip(guess, range(len(chosen)), strict=True), reverse=True)
     kept = [i for value, i in ranked if value > top - reach][: settings.refits]

@@ -10,8 +10,8 @@ import pytest
 from irec_calibration.diagnose import build as building
 from irec_calibration.diagnose.build import Built, build
 from irec_calibration.diagnose.explanation import Explanation
-from irec_calibration.diagnose.naming import all_stand, standing
 from irec_calibration.diagnose.settings import SETTINGS
+from irec_calibration.diagnose.standing import all_stand, standing
 from irec_calibration.effects.scene import Scene
 from numpy.typing import NDArray
 from test_building_blocks import play_of_axis_4, study
@@ -59,9 +59,9 @@ def test_names_that_all_stand_have_the_evidence_that_each_has_by_itself() -> Non
 
 @pytest.mark.slow
 def test_where_one_name_is_too_weak_not_all_stand(monkeypatch) -> None:
-    from irec_calibration.diagnose import naming
+    from irec_calibration.diagnose import standing as module
 
     found = built()
     weakest = found.final.ids[0]
-    monkeypatch.setattr(naming, "odds_of", lambda start, one, bare, effect_id, *_: 1.0 if effect_id == weakest else 100.0)
+    monkeypatch.setattr(module, "odds_of", lambda start, one, bare, effect_id, *_: 1.0 if effect_id == weakest else 100.0)
     assert all_stand(found.start, found.final, found.family, SETTINGS) == {}

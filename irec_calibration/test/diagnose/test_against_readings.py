@@ -12,11 +12,11 @@ from irec_calibration.diagnose import readings, start_terms
 from irec_calibration.diagnose.candidates import try_effect
 from irec_calibration.diagnose.explanation import Explanation, implausible
 from irec_calibration.diagnose.family import family_of
-from irec_calibration.diagnose.naming import proven
 from irec_calibration.diagnose.readings import against, carried, proved, readings_of
 from irec_calibration.diagnose.remainder import grow
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.shape import refit
+from irec_calibration.diagnose.standing import proven
 from irec_calibration.diagnose.study import Study, prepare, study_of
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
@@ -135,5 +135,5 @@ def test_a_name_that_readings_contradict_does_not_stand_at_the_end(monkeypatch: 
     gained = study.bench.posterior(study.base).log_evidence - start_study.bench.posterior(start_study.base).log_evidence
     one = Explanation((study.terms[-1],), study, gained, grow(study.bench, family, study.base))
     assert proven(start, (start, one), family, SETTINGS)[0].ids == ("tracker_scale",)
-    monkeypatch.setattr("irec_calibration.diagnose.naming.against", lambda study, term: "not read")
+    monkeypatch.setattr("irec_calibration.diagnose.standing.against", lambda study, term: "not read")
     assert proven(start, (start, one), family, SETTINGS)[0].ids == ()

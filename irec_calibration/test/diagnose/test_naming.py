@@ -148,35 +148,3 @@ def test_a_bearing_gives_way_instead_of_a_gear_where_it_explains_more_and_instea
 
     odds = odds_beside(monkeypatch, one, bare, Forms(axes=frozenset(axes)), remainder_of, "joint_stiffening")
     assert (odds > naming.needed(one, "joint_stiffening", SETTINGS)) == named
-
-
-@pytest.mark.parametrize(
-    ("kind", "own", "left", "outweighed"),
-    [("loaded", 30.0, 40.0, True), ("loaded", 50.0, 40.0, False), ("loaded", 7.0, 0.0, False), ("absolute", 30.0, 40.0, False)],
-)
-def test_a_name_explains_no_less_than_what_stays_without_one_in_a_loaded_session(
-    monkeypatch: pytest.MonkeyPatch, kind: str, own: float, left: float, outweighed: bool
-) -> None:
-    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
-    monkeypatch.setattr(naming, "shown_by_readings", lambda *_: 0.0)
-    rest = SimpleNamespace(structures=(SimpleNamespace(log_evidence=0.75 * left), SimpleNamespace(log_evidence=0.25 * left)))
-    study = SimpleNamespace(ready=SimpleNamespace(kind=kind))
-    one: Any = SimpleNamespace(named=100.0 + own, study=study, remainder=rest, added=())
-    bare: Any = {"joint_coupling": SimpleNamespace(named=100.0)}
-    assert naming.outweighed(one, bare, "joint_coupling") == outweighed
-
-
-@pytest.mark.parametrize(("of_settling", "outweighed"), [(500.0, False), (30.0, True)])
-def test_what_has_the_form_of_a_larger_name_is_that_ones_and_outweighs_no_other(
-    monkeypatch: pytest.MonkeyPatch, of_settling: float, outweighed: bool
-) -> None:
-    """A curve of the step just made, of 40, beside play of 35 and settling of the same axis."""
-    monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
-    monkeypatch.setattr(naming, "shown_by_readings", lambda *_: 0.0)
-    monkeypatch.setattr(naming, "has_form_of", lambda structure, term, scene: term.effect.id == "joint_settling")
-    added = tuple(SimpleNamespace(effect=SimpleNamespace(id=i)) for i in ("joint_settling", "joint_backlash"))
-    rest = SimpleNamespace(structures=(SimpleNamespace(log_evidence=40.0, structure="step"),))
-    study = SimpleNamespace(ready=SimpleNamespace(kind="loaded"))
-    one: Any = SimpleNamespace(named=1000.0, study=study, remainder=rest, added=added)
-    bare: Any = {"joint_settling": SimpleNamespace(named=1000.0 - of_settling), "joint_backlash": SimpleNamespace(named=965.0)}
-    assert naming.outweighed(one, bare, "joint_backlash") == outweighed

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which names of a model stand beside each other, and beside what stays without a name."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from irec_calibration.diagnose import standing
+from irec_calibration.diagnose.settings import SETTINGS
+
+
+@pytest.mark.parametrize(
+    ("kind", "own", "left", "outweighed"),
+    [("loaded", 30.0, 40.0, True), ("loaded", 50.0, 40.0, False), ("loaded", 7.0, 0.0, False), ("absolute", 30.0, 40.0, False)],
+)
+def test_a_name_explains_no_less_than_what_stays_without_one_in_a_loaded_session(
+    monkeypatch: pytest.MonkeyPatch, kind: str, own: float, left: float, outweighed: bool
+) -> None:
+    monkeypatch.setattr(standing, "in_one_pose", lambda *_: False)
+    monkeypatch.setattr(standing, "shown_by_readings", lambda *_: 0.0)
+    rest = SimpleNamespace(structures=(SimpleNamespace(log_evidence=0.75 * left), SimpleNamespace(log_evidence=0.25 * left)))
+    study = SimpleNamespace(ready=SimpleNamespace(kind=kind))
+    one: Any = SimpleNamespace(named=100.0 + own, study=study, remainder=rest, added=())
+    bare: Any = {"joint_coupling": SimpleNamespace(named=100.0)}
+    assert standing.outweighed(one, bare, "joint_coupling") == outweighed
+
+
+@pytest.mark.parametrize(("of_settling", "outweighed"), [(500.0, False), (30.0, True)])
+def test_what_has_the_form_of_a_larger_name_is_that_ones_and_outweighs_no_other(
+    monkeypatch: pytest.MonkeyPatch, of_settling: float, outweighed: bool
+) -> None:
+    """A curve of the step just made, of 40, beside play of 35 and settling of the same axis."""
+    monkeypatch.setattr(standing, "in_one_pose", lambda *_: False)
+    monkeypatch.setattr(standing, "shown_by_readings", lambda *_: 0.0)
+    monkeypatch.setattr(standing, "has_form_of", lambda structure, term, scene: term.effect.id == "joint_settling")
+    added = tuple(SimpleNamespace(effect=SimpleNamespace(id=i)) for i in ("joint_settling", "joint_backlash"))
+    rest = SimpleNamespace(structures=(SimpleNamespace(log_evidence=40.0, structure="step"),))
+    study = SimpleNamespace(ready=SimpleNamespace(kind="loaded"))
+    one: Any = SimpleNamespace(named=1000.0, study=study, remainder=rest, added=added)
+    bare: Any = {"joint_settling": SimpleNamespace(named=1000.0 - of_settling), "joint_backlash": SimpleNamespace(named=965.0)}
+    assert standing.outweighed(one, bare, "joint_backlash") == outweighed
+
+
+@pytest.mark.parametrize(("weakest", "kept"), [("outweighed", ("sensor_alignment",)), ("too weak", ())])
+def test_what_an_outweighed_name_explained_is_no_unknown_cause_beside_the_others(
+    monkeypatch: pytest.MonkeyPatch, weakest: str, kept: tuple[str, ...]
+) -> None:
+    """A drift of 13 beside an unknown of 32 goes. Without it structures explain 71, more than the 34 of the name that is left;
+    what too weak a name explained may be unknown, what an outweighed one did is not."""
+
+    def model(named: float, ids: tuple[str, ...], rest: float) -> Any:
+        added = tuple(SimpleNamespace(effect=SimpleNamespace(id=i)) for i in ids)
+        left = SimpleNamespace(structures=(SimpleNamespace(log_evidence=rest, structure=None),))
+        study = SimpleNamespace(ready=SimpleNamespace(kind="loaded"))
+        return SimpleNamespace(named=named, ids=ids, added=added, remainder=left, study=study, term=lambda i: None)
+
+    none = model(0.0, (), 100.0)
+    drift, turned = model(13.0, ("thermal_drift",), 100.0), model(34.0, ("sensor_alignment",), 71.0)
+    both = model(47.0, ("sensor_alignment", "thermal_drift"), 32.0)
+    less = {(both.ids, "thermal_drift"): turned, (both.ids, "sensor_alignment"): drift}
+    weak = ["thermal_drift"] if weakest == "too weak" else []
+    monkeypatch.setattr(standing, "without", lambda start, one, i, family: less.get((one.ids, i), none))
+    monkeypatch.setattr(standing, "odds_of", lambda start, one, bare, i, *_: 10.0 if i == "thermal_drift" else 30.0)
+    monkeypatch.setattr(standing, "_weak", lambda start, one, *_: [i for i in weak if i in one.ids])
+    monkeypatch.setattr(standing, "in_one_pose", lambda *_: False)
+    monkeypatch.setattr(standing, "shown_by_readings", lambda *_: 0.0)
+    monkeypatch.setattr(standing, "has_form_of", lambda *_: False)
+    monkeypatch.setattr(standing, "against", lambda *_: "")
+    family: Any = None
+    assert standing.standing(none, both, family, SETTINGS)[0].ids == kept
