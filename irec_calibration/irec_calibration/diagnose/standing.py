@@ -64,7 +64,7 @@ def standing(start: Explanation, one: Explanation, family: Family, settings: Set
         evidence = {i: odds_of(start, one, b, i, family, settings) for i, b in bare.items()}
         weak = _weak(start, one, bare, evidence, settings)
         if not weak:
-            most = min(most, unnamed(one))
+            most = min(most, without_a_name(one))
             weak = [i for i in one.ids if outweighed(one, bare, i, most)]
         else:
             most = np.inf
@@ -105,7 +105,7 @@ def _weak(
     return [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
 
 
-def unnamed(one: Explanation) -> float:
+def without_a_name(one: Explanation) -> float:
     """Log evidence of what has no name."""
     return sum(p.log_evidence for p in one.remainder.structures)
 
