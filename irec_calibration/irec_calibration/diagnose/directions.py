@@ -17,7 +17,7 @@ from .study import Study
 DEGREE = 3  # of a curve over one variable
 TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment over which a play is taken up
 SEEN_AT, TURNS = ("marker_x", "marker_y", "marker_z"), 4  # columns of a reading; waves per turn of an encoder that are tried
-ALL_AXES = ("turning the axes", "as compliance of the axes")
+TURNING, COMPLIANCE = "turning the axes", "as compliance of the axes"
 TYPICAL_DISPLACEMENT = 3e-5  # m; what a coefficient of 1 moves; the amplitude itself is inferred
 
 
@@ -113,8 +113,8 @@ def directions(study: Study) -> Iterator[Direction]:
     angle = scaled(scene.J * on, rows)
     size = np.maximum(np.sqrt((tau[rows] ** 2).mean(axis=0)), 1e-9)
     twist = angle * (tau / size)[:, None, :]
-    yield Direction("turning the axes", (), angle)
-    yield Direction("as compliance of the axes", (), twist)
+    yield Direction(TURNING, (), angle)
+    yield Direction(COMPLIANCE, (), twist)
     for k in range(scene.n_joints):
         yield Direction(f"turning axis {k + 1}", (), angle[:, :, k : k + 1], k)
         yield Direction(f"as compliance of axis {k + 1}", (f"tau_{k + 1}",), twist[:, :, k : k + 1], k)
@@ -127,15 +127,20 @@ def shaped(study: Study) -> Iterator[Direction]:
         for name, shape in forms.items():
             columns = (d.columns[:, :, :, None] * shape[:, None, None, :]).reshape(len(shape), 3, -1)
             # an axis that its own torque turns by any curve: what stiffening, play and friction of that axis are forms of
-            law_of = d.axis if d.axis is not None and name == f"tau_{d.axis + 1}" else None
-            by_angle = d.axis is not None and name == f"joint_{d.axis + 1}" and f"tau_{d.axis + 1}" in d.variables
-            softer = d.axis if by_angle else None
-            if d.words in ALL_AXES: # each axis by itself is a direction of its own
-                variable, _, number = name.partition("_")
-                law_of = int(number) - 1 if variable == "tau" else None
-                softer = int(number) - 1 if variable == "joint" and "compliance" in d.words else None
+            # also where all axes turn by it: each by itself is a direction of its own
+            of_all = d.words in (TURNING, COMPLIANCE)
+            by_torque, by_angle = _axis_in(name, "tau"), _axis_in(name, "joint")
+            is_compliance = d.words == COMPLIANCE or (d.axis is not None and f"tau_{d.axis + 1}" in d.variables)
+            law_of = by_torque if of_all or by_torque == d.axis else None
+            softer = by_angle if is_compliance and (of_all or by_angle == d.axis) else None
             variables = (name, *(v for v in d.variables if v != name))
             yield Direction(d.words, variables, columns, d.axis, law_of, softer)
+
+
+def _axis_in(name: str, of: str) -> int | None:
+    """The axis, counted from 0, whose torque (`tau`) or angle (`joint`) a variable is; None where it is something else."""
+    kind, _, number = name.partition("_")
+    return int(number) - 1 if kind == of else None
 
 
 def two_variables(study: Study) -> Iterator[Direction]:

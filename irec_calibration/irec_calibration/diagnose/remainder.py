@@ -44,6 +44,11 @@ class Remainder:
         return tuple(p for p in self.parts if not p.structure.is_bad_row)
 
     @property
+    def without_a_name(self) -> float:
+        """Log evidence of what has no name and is a cause."""
+        return sum(p.log_evidence for p in self.structures)
+
+    @property
     def bad_rows(self) -> tuple[Part, ...]:
         """Rows and references that stand out."""
         return tuple(p for p in self.parts if p.structure.is_bad_row)

@@ -64,7 +64,7 @@ def standing(start: Explanation, one: Explanation, family: Family, settings: Set
         evidence = {i: odds_of(start, one, b, i, family, settings) for i, b in bare.items()}
         weak = _weak(start, one, bare, evidence, settings)
         if not weak:
-            most = min(most, without_a_name(one))
+            most = min(most, one.remainder.without_a_name)
             weak = [i for i in one.ids if outweighed(one, bare, i, most)]
         else:
             most = np.inf
@@ -103,11 +103,6 @@ def _weak(
     share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
     least = {i: _least(one, i, left, settings) for i in one.ids}
     return [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
-
-
-def without_a_name(one: Explanation) -> float:
-    """Log evidence of what has no name."""
-    return sum(p.log_evidence for p in one.remainder.structures)
 
 
 def outweighed(one: Explanation, bare: dict[str, Explanation], effect_id: str, most: float = np.inf) -> bool:

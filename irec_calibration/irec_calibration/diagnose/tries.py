@@ -37,7 +37,7 @@ def two_together(
     Returns:
         the model with both, and the evidence of the names in it.
     """
-    if sum(p.log_evidence for p in current.remainder.structures) < settings.nats_for_two:
+    if current.remainder.without_a_name < settings.nats_for_two:
         return None
     trials = tried_on(current, found) if trials is None else trials
     pairs: list[Explanation] = []  # one may be there twice, with other shapes: each was found beside the one taken first

@@ -17,7 +17,7 @@ from .traits import Family
 
 AXIS = 1  # index of joint_2
 NAMES = ("a", "b", "a_twice", "b_twice")
-LEAST_LEFT = 0.5  # of the compliance of axis 2, beside a balancer; those of heavy arms change it by 10 to 25 % with posture
+LEAST_LEFT = 0.5  # of the compliance of axis 2, beside a balancer; those of heavy arms change it by +-10 to 25 % with posture
 
 
 class Counterbalance(Effect):

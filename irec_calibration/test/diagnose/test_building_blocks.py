@@ -6,20 +6,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import synthetic
-from irec_calibration.diagnose import start_terms
+from irec_calibration.diagnose import start_terms, tries
 from irec_calibration.diagnose.candidates import options, try_option
-from irec_calibration.diagnose.evidence import Ground
+from irec_calibration.diagnose.evidence import Block, Ground
 from irec_calibration.diagnose.explanation import Explanation, explain, implausible, own_forms, without
 from irec_calibration.diagnose.family import family_of
-from irec_calibration.diagnose.forms import forms_of
+from irec_calibration.diagnose.forms import forms_of, has_form_of
 from irec_calibration.diagnose.held_out import held_out, held_out_beside, only_good_poses
 from irec_calibration.diagnose.lasting import lasts
 from irec_calibration.diagnose.parts import without_columns
 from irec_calibration.diagnose.remainder import Part, grow
+from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.shape import reshaped
 from irec_calibration.diagnose.study import Study, prepare, study_of
 from irec_calibration.diagnose.tries import laws_by_themselves
@@ -174,6 +177,35 @@ def test_what_turns_all_axes_by_what_is_one_axis_own_has_that_axis_law_in_it() -
     compliance = [s for s in by_angle if "compliance" in s.words]
     assert all(s.softer_by_angle == int(s.variables[0][-1]) - 1 for s in compliance)
     assert all(s.softer_by_angle is None and s.law_of is None for s in by_angle if s not in compliance)
+
+
+def test_a_curve_of_the_step_of_an_axis_has_the_form_of_what_settles_there_in_loaded_sessions_too() -> None:
+    found = study()
+    by_step = [s for s in family_of(found).structures if s.by_step]
+    assert {s.axis for s in by_step} > {2}
+    settling = Term(find_effect("joint_settling"), {"a_3": Estimate(1e-4)})
+    for s in by_step:
+        assert has_form_of(s, settling, found.ready) == (s.axis == 2)
+        assert not has_form_of(s, law("joint_backlash", (3,)), found.ready)
+
+
+@pytest.mark.parametrize(("first", "kept"), [("station_shift", ("station_shift", "joint_backlash")), ("creep", ("creep",))])
+def test_a_step_in_one_pose_keeps_no_weaker_effect_from_being_tried(monkeypatch, first: str, kept: tuple[str, ...]) -> None:
+    """Readings may refuse it. Play is worse by 40 here."""
+    worth = {first: 100.0, "joint_backlash": 60.0}
+
+    def trial(effect: str) -> Any:
+        block = SimpleNamespace(of=effect)
+        return SimpleNamespace(effect=find_effect(effect), best=SimpleNamespace(block=block, log_prior=0.0))
+
+    found = study()
+    start = Explanation((), found, 0.0, grow(found.bench, family_of(found), found.base))
+    monkeypatch.setattr(Block, "__add__", lambda _, other: other)
+    monkeypatch.setattr(tries, "grow", lambda bench, family, block, parts: SimpleNamespace(log_evidence=worth[block.of]))
+    monkeypatch.setattr(type(found.bench), "posterior", lambda *_: SimpleNamespace(log_evidence=0.0))
+    family: Any = None
+    chosen = tries._screened(start, [trial(first), trial("joint_backlash")], family, SETTINGS)
+    assert tuple(t.effect.id for t in chosen) == kept
 
 
 def test_two_models_are_compared_at_the_noise_of_the_first_whatever_each_takes_for_noise() -> None:

@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from irec_calibration.diagnose import build as building
 from irec_calibration.diagnose import several as module
 from irec_calibration.diagnose.candidates import options
 from irec_calibration.diagnose.explanation import Explanation
@@ -43,6 +44,14 @@ def test_effects_that_explain_a_session_together_are_taken_in_by_evidence_of_the
     assert set(found.model.ids) == {"joint_backlash", "thermal_drift"} == set(found.evidence)
     assert found.model.log_evidence > start.log_evidence + SETTINGS.nats_to_separate
     assert found.model.remainder.structures == ()
+
+
+def test_what_can_not_come_in_one_by_one_is_part_of_the_model_that_is_built_with_its_evidence(monkeypatch) -> None:
+    monkeypatch.setattr(building, "refused", lambda *_: ("a structure explains as much", 0.0))
+    monkeypatch.setattr(building, "two_together", lambda *_: None)
+    built = building.build(study(play_and_a_drift))
+    assert set(built.final.ids) == {"joint_backlash", "thermal_drift"} == set(built.evidence)
+    assert (built.closest, built.reason) == (None, "")
 
 
 def test_one_effect_by_itself_is_left_to_be_weighed_by_itself() -> None:

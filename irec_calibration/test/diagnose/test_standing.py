@@ -52,7 +52,7 @@ def test_what_an_outweighed_name_explained_is_no_unknown_cause_beside_the_others
 
     def model(named: float, ids: tuple[str, ...], rest: float) -> Any:
         added = tuple(SimpleNamespace(effect=SimpleNamespace(id=i)) for i in ids)
-        left = SimpleNamespace(structures=(SimpleNamespace(log_evidence=rest, structure=None),))
+        left = SimpleNamespace(structures=(SimpleNamespace(log_evidence=rest, structure=None),), without_a_name=rest)
         study = SimpleNamespace(ready=SimpleNamespace(kind="loaded"))
         return SimpleNamespace(named=named, ids=ids, added=added, remainder=left, study=study, term=lambda i: None)
 

@@ -252,6 +252,14 @@ def test_a_balancer_takes_at_most_half_of_the_compliance_of_its_axis(scene):
     assert balancer.why_impossible(taken, {}, scene) == ""
 
 
+def test_a_model_from_before_the_second_harmonic_predicts_what_it_did(scene):
+    by_angle = 2e-7 * np.sin(scene.q[:, 1]) + 1e-7 * np.cos(scene.q[:, 1])
+    wanted = scene.J[:, :, 1] * (by_angle * scene.load_torque()[:, 1])[:, None]
+    effect = find_effect("counterbalance")
+    older = Term(effect, {"a": Estimate(2e-7), "b": Estimate(1e-7)})
+    assert np.allclose(effect.displacement(scene, older.theta(effect.parameters(scene))), wanted, atol=1e-15)
+
+
 def test_a_spring_beside_axis_2_acts_by_the_square_of_its_lever(scene):
     """A lever r sin(q - q_0) and a stiffness k take k r^2 sin^2(q - q_0) of the load: all four parameters and a constant."""
     effect = find_effect("counterbalance")
