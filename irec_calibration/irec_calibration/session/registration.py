@@ -54,7 +54,7 @@ def registered(session: Session, kin: Kinematics) -> Session:
     rows = np.flatnonzero(session.marker_seen)
     if session.kind == "loaded" or not (free_s or free_m) or len(rows) < 3:
         return session
-    rows = rows[:: -(-len(rows) // ROWS_ENOUGH)]
+    rows = _enough(session, rows)
     on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker[rows]]
     data = _Rows(
         session.station[rows],
@@ -72,6 +72,18 @@ def registered(session: Session, kin: Kinematics) -> Session:
     refined = [_refine(data, *start, free_s, free_m, given) for start in starts]
     _, stations, markers = min(refined, key=lambda f: f[0])
     return replace(session, stations=stations, markers=markers)
+
+
+def _enough(session: Session, rows: IntArray) -> IntArray:
+    """Some of many rows, spread evenly over those of each marker from each station: where markers take turns, every second row
+    may be of some of them only."""
+    if len(rows) <= ROWS_ENOUGH:
+        return rows
+    kind = session.station[rows] * len(session.markers) + session.marker[rows]
+    of_kind = [rows[kind == k] for k in np.unique(kind)]
+    most = max(ROWS_ENOUGH // len(of_kind), 1)
+    kept = [mine[np.unique(np.linspace(0, len(mine) - 1, min(most, len(mine))).astype(int))] for mine in of_kind]
+    return np.sort(np.concatenate(kept))
 
 
 def level_gravity(stations: tuple[Station, ...]) -> Array | None:
