@@ -44,8 +44,8 @@ class Counterbalance(Effect):
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         own = compliance.get(f"c_{AXIS + 1}")
-        if own is None:
-            return ""
+        if own is None:  # no axis is without, and what stands for it is no balancer
+            return f"the model has no compliance of axis {AXIS + 1} of which a balancer could take a part"
         total = own + harmonics(scene.q[:, AXIS]) @ [values.get(name, (0.0, 0.0))[0] for name in NAMES]
         least, most = float(total.min()), float(total.max())
         if least >= LEAST_LEFT * most:
