@@ -31,14 +31,16 @@ def base_terms() -> tuple[Term, ...]:
 def completed(terms: Sequence[Term], observation: Observation) -> tuple[Term, ...]:
     """Terms of an absolute session with what every model of it needs; terms of a loaded session as they are.
 
-    Unknown stations and markers get their terms; an effect that is `chosen_by_poses`, without values, gets those parameters that
-    the poses determine.
+    Unknown stations and markers get their terms, and these every station and marker of the session, whichever they named
+    before (of a model of another session; a reflector that was found to be seated anew). An effect that is `chosen_by_poses`,
+    without values, gets those parameters that the poses determine.
     """
     if observation.session.kind != "absolute":
         return tuple(terms)
     present = {t.effect.id for t in terms}
     registering = [find_effect(e) for e in GEOMETRIC]
     out = [Term(e) for e in registering if e.registers and e.id not in present and e.parameters(observation.scene)] + list(terms)
+    out = [_placing_all(t, observation.scene) if t.effect.registers else t for t in out]
     out = [t for t in out if not t.effect.registers or t.effect.parameters(observation.scene)]
     for i, term in enumerate(out):
         if term.effect.chosen_by_poses and not term.estimates:
@@ -46,6 +48,14 @@ def completed(terms: Sequence[Term], observation: Observation) -> tuple[Term, ..
             kept = determined_geometry(tuple(out), i, observation)
             out[i] = replace(term, estimates={n: Estimate(0.0, unit=own[n].unit) for n in own if n in kept})
     return tuple(t for t in out if not t.effect.chosen_by_poses or t.estimates)
+
+
+def _placing_all(term: Term, scene: Scene) -> Term:
+    """A registering term with all its parameters, those that it did not name at their start; as it is where it names none."""
+    if not term.estimates:
+        return term
+    own = term.effect.parameters(scene)
+    return replace(term, estimates={p.name: term.estimates.get(p.name, Estimate(p.start, unit=p.unit)) for p in own})
 
 
 def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observation) -> set[str]:

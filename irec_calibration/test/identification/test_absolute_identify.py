@@ -216,3 +216,10 @@ def test_a_tracker_scale_can_not_shrink_the_residual_by_shrinking_robot_and_meas
     plain = identify(data, base_terms())
     scaled = identify(data, [*base_terms(), Term(find_effect("tracker_scale"))])
     assert rms(scaled.residual) > 0.97 * rms(plain.residual)
+
+
+def test_a_model_of_a_session_with_one_reflector_places_a_second_one_of_another_session_too():
+    one, two = Marker("M", "tool0", (0.03, -0.02, 0.1), known=False), Marker("N", "tool0", (-0.05, 0.02, 0.1), known=False)
+    model = model_of(identify(session(noise=NOISE, markers=(one,)), base_terms()))
+    fit = identify(session(noise=NOISE, seed=3, markers=(one, two)), model.terms)
+    assert rms(fit.residual) < 1.1 * fit.observation.whiten.floor
