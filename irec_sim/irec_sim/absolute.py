@@ -118,7 +118,7 @@ class Rest:
 
 
 def at_rest(plant: Plant, physics: Physics, q: Array, near: Rest | None = None) -> Rest:
-    """Equilibrium under gravity in each pose; friction points to where the joints came from.
+    """Equilibrium under gravity and hoses in each pose; friction points to where the joints came from.
 
     Args:
         near: a solution under nearly the same physics: the answer is then of first order in the difference.
@@ -126,7 +126,8 @@ def at_rest(plant: Plant, physics: Physics, q: Array, near: Rest | None = None) 
     step = np.diff(q, axis=0, prepend=q[:1])
     came = np.sign(step) * (np.abs(step) > 1e-6)
     motor = motor_angles(physics.sensing, q, step)
-    idle = Conditions.idle(len(q), q.shape[1])
+    # no process ever is on here, and hoses pull all the time
+    idle = replace(Conditions.idle(len(q), q.shape[1]), process_on=np.ones(len(q), dtype=bool))
     if near is None:
         state = plant.relaxed(motor, idle, came)
         state, frames = plant.equilibrium(motor, idle, state, tolerance=1e-11)

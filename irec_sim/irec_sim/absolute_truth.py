@@ -26,6 +26,7 @@ ROBOTS: dict[str, tuple[float, float, float]] = {
 OFTEN: dict[str, float] = {
     "joint_torsion": 3.0, "link_bending": 1.0, "base_compliance": 1.2, "encoder_harmonics": 1.5, "joint_backlash": 1.0,
     "joint_hysteresis": 1.2, "joint_settling": 0.7, "thermal_drift": 0.8, "joint_stiffening": 0.4, "station_shift": 0.3,
+    "tool_compliance": 0.6, "external_force": 0.6,
 }  # fmt: skip
 
 
@@ -83,7 +84,7 @@ def _springs(name: str) -> TruthEffect:
     return plant_effect(lambda rng: {}, lambda plant, p, s: {key: getattr(plant, key) + s * np.array(p["compliance"])})
 
 
-ELASTIC = ("joint_torsion", "link_bending", "base_compliance")
+ELASTIC = ("joint_torsion", "link_bending", "base_compliance", "tool_compliance")
 EFFECTS: dict[str, TruthEffect] = {**CATALOGUE, **{e: _springs(e) for e in ("joint_torsion", "link_bending")}}
 
 
@@ -137,6 +138,14 @@ def draw_effect(effect: str, arm: Arm, rng: np.random.Generator) -> Parameters:
         turn = (1e-8, 8e-8) if large else (1e-6, 2e-5)
         return {"per_translation": list(_log(rng, *((3e-9, 2e-8) if large else (1e-8, 2e-7)), 3)),
                 "per_rotation": list(_log(rng, *turn, 3))}  # fmt: skip
+    if effect == "tool_compliance":  # a tool changer or a sensor under its payload
+        turn = (3e-7, 3e-6) if large else (1e-5, 3e-4)
+        return {"per_translation": list(_log(rng, *((1e-8, 1e-7) if large else (1e-7, 1e-6)), 3)),
+                "per_rotation": list(_log(rng, *turn, 3))}  # fmt: skip
+    if effect == "external_force":  # a dress pack hangs on the arm all the time
+        scale = 1.0 if large else 0.4
+        return p | {"tension": float(_log(rng, 100.0, 600.0) if large else _log(rng, 10.0, 60.0)), "reach": scale * p["reach"],
+                    "anchor": [scale * x for x in p["anchor"]], "attach": [scale * x for x in p["attach"]]}  # fmt: skip
     if effect == "encoder_harmonics":
         size = float(_log(rng, 2e-5, 3e-4)) * (0.3 if large else 1.0)
         waves = rng.normal(0.0, 1.0, (2, 2, n)) * np.array([1.0, 0.5])[None, :, None] * size

@@ -27,7 +27,7 @@ from .study import Study
 from .tries import step, tried_on, two_together, waiting
 
 Look = Callable[[Explanation, Family], "Observation | None"]  # the observation as a model asks to see it, if that is otherwise
-ROUNDS = 3  # in which a model of an absolute session is built on without the names that have fallen
+ROUNDS = 4  # in which a model of an absolute session is built on without the names that have fallen
 
 
 @dataclass(frozen=True)
@@ -204,19 +204,21 @@ def build(study: Study, check: Check = lambda: None, look: Look = lambda *_: Non
     found, skipped = options(study, check=check)
     start = Explanation((), study, 0.0, grow(study.bench, family, study.base))
     way = _Way(start, family, found, tuple(tried_on(start, found)), check, look, settings, [start])
-    fallen: dict[str, None] = {}
+    fallen: dict[str, set[str]] = {}  # effect -> the names that stood when it fell
     gone: list[str] = []
     # an absolute session starts without springs, of which what has fallen may have kept some out; in a loaded one what explains
     # it once names have fallen may be the same unknown cause in another guise
     for _ in range(ROUNDS if study.ready.kind == "absolute" else 1):
-        seen = way.go_on(fallen)
+        # beside names that have come since, what has fallen may stand: it fell for what these explain
+        seen = way.go_on([i for i, beside in fallen.items() if beside >= set(way.steps[-1].ids)])
         if seen is not None:
             return Built(start, family, way.trials, skipped, way.singles, tuple(way.steps), way.evidence, seen=seen)
         whole = way.back()
         gone += _in_their_place(start, whole, way.steps[-1].ids, family, settings)
         if whole is way.steps[-1]:
             break
-        fallen |= dict.fromkeys(i for i in whole.ids if i not in way.steps[-1].ids)
+        stand = set(way.steps[-1].ids)
+        fallen |= {i: stand for i in whole.ids if i not in stand}
     way.several()
     names = way.steps[-1].ids
     rivals = way.rivals([i for i in dict.fromkeys(gone) if i not in names])

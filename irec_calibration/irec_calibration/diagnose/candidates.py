@@ -90,10 +90,22 @@ class Table:
 
 @dataclass(frozen=True)
 class Option:
-    """An effect with all its tables on one session."""
+    """An effect with all its tables on one session.
+
+    Attributes:
+        by_springs: what it does goes with springs, which the start of an absolute session has none of: asked anew of each model.
+    """
 
     effect: Effect
     tables: tuple[Table, ...]
+    by_springs: bool = False
+
+    def on(self, study: Study) -> Option:
+        """The same on top of a model; without tables where it moves nothing there."""
+        if not self.by_springs:
+            return self
+        found, _ = options(study, [self.effect])
+        return replace(self, tables=found[0].tables)
 
 
 def options(
@@ -105,7 +117,7 @@ def options(
     skipped: dict[str, str] = {}
     for effect in known_effects().values() if effects is None else effects:
         check()
-        if effect.id in present or (effects is None and effect.completes):
+        if effect.id in present or (effects is None and (effect.completes or effect.stands_in)):
             continue
         why = study.why_not(effect)
         try:
@@ -113,8 +125,9 @@ def options(
         except (EffectError, SolveError) as error:
             tables, why = (), str(error)
         tables = tuple(t for t in tables if t.groups)
-        if tables:
-            found.append(Option(effect, tables))
+        by_springs = study.ready.kind == "absolute" and effect.loads_arm and not why
+        if tables or by_springs:
+            found.append(Option(effect, tables, by_springs))
         else:
             skipped[effect.id] = why or "it moves nothing in this session"
     return found, skipped
@@ -209,7 +222,8 @@ def try_option(ground: Ground, option: Option, scene: Scene) -> Trial:
 def try_effect(study: Study, effect: Effect, check: Callable[[], None] = lambda: None) -> Trial | None:
     """Try one effect on top of a model; None where none of its columns shows in this session."""
     found, _ = options(study, [effect], check)
-    return try_option(Ground(study.bench, study.base), found[0], study.ready) if found else None
+    shows = found and found[0].tables
+    return try_option(Ground(study.bench, study.base), found[0], study.ready) if shows else None
 
 
 def supported(log_evidence: float, saved: float) -> float:

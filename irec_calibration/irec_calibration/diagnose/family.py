@@ -17,9 +17,11 @@ from ..typing import Array, BoolArray, IntArray
 from .directions import TYPICAL_DISPLACEMENT, drifts, plain, readings, shaped, tilts, two_variables
 from .evidence import Block, Ground
 from .memories import memories
+from .ripples import ripples
 from .study import Study
 
 AMPLITUDES = np.geomspace(0.1, 1000.0, 9)  # of the coefficients' prior, in units of the typical displacement
+TYPICAL_ANGLE = 1e-5  # rad, of a ripple
 SMALLEST = 1e-6  # whitened length of a column below which it can't show
 BAD_ROWS_TRIED = 25
 BAD_POSES_TRIED = 6
@@ -42,6 +44,7 @@ class Structure:
         is_tilt: a link tilts across its axis: seldom, and hardly told from a law of an axis that is parallel to that.
         by_step: it turns the axis by the step just made, whatever the law: what effects of history are special forms of.
         is_drift: it follows time or a temperature whatever the force, wherever it acts: what a drift may also be.
+        ripple: joint, counted from 0, and how many times per turn of it this repeats; found in a residual.
         largest: amplitude of its coefficients' prior that can be.
         is_bad_row: it moves a single row, a single reference or a single pose, or the reflector from some row on: bad readings,
             no cause; rows: of the session, where they are single ones; seated: marker and stamp of a reflector that is elsewhere
@@ -61,6 +64,7 @@ class Structure:
     seated: tuple[int, float] | None = None
     by_step: bool = False
     is_drift: bool = False
+    ripple: tuple[int, float] | None = None
     largest: float = np.inf
 
 
@@ -191,10 +195,16 @@ def family_of(study: Study) -> Family:
 
 
 def with_bad_rows(family: Family, study: Study, *residuals: Array) -> Family:
-    """A family with the bad readings that may stand out of any of some residuals, (m, 3), m, in place of those that it has."""
-    structures = [s for s in family.structures if not s.is_bad_row]
+    """A family with the bad readings that may stand out of any of some residuals, (m, 3), m, in place of those that it has, and
+    with the ripples that these show."""
+    structures = [s for s in family.structures if not s.is_bad_row and s.ripple is None]
     at = structures[-1].columns.stop if structures else 0
     columns = [family.A[:, :at]]
+    for k, n, waves, tried in ripples(study, residuals):
+        own, words = study.columns(waves * TYPICAL_ANGLE), f"turning axis {k + 1}, {n:.3g} times per turn"
+        structures.append(Structure((f"joint_{k + 1}",), words, slice(at, at + own.shape[1]), tried, ripple=(k, n)))
+        columns.append(own.astype(family.A.dtype))
+        at += own.shape[1]
     for words, own, tried, here in _bad_rows(study, residuals):
         rows = tuple(int(r) for r in study.observation.rows[here])
         structures.append(Structure((), words, slice(at, at + own.shape[1]), tried, is_bad_row=True, rows=rows))

@@ -20,6 +20,7 @@ from .candidates import Trial, options, try_option
 from .evidence import Ground
 from .held_out import held_out
 from .remainder import Remainder
+from .ripples import ripples
 from .settings import SETTINGS, Settings
 from .study import Study, study_of
 
@@ -58,7 +59,7 @@ def proposals(
         depends_on: session columns and `tau_k`, strongest first.
     """
     turned = {p.structure.axis for p in remainder.structures if p.structure.axis is not None}
-    written = list(dict.fromkeys(_formulas(study.ready, depends_on, sorted(turned))))
+    written = list(dict.fromkeys([*_ripples(study, remainder), *_formulas(study.ready, depends_on, sorted(turned))]))
     if not written:
         return ()
     formulas = {f"formula_{i + 1}": text for i, text in enumerate(written)}
@@ -83,6 +84,16 @@ def proposals(
         if after.rms_m < before:
             out.append(Proposal(formulas[trial.effect.id], after.rms_m, after.rms_se_m, odds))
     return tuple(out)
+
+
+def _ripples(study: Study, remainder: Remainder) -> Iterator[str]:
+    """What repeats many times per turn of a joint, as found while the model was built and as it shows in what that leaves."""
+    found = [p.structure.ripple for p in remainder.structures if p.structure.ripple is not None]
+    if found:
+        found += [(k, n) for k, n, *_ in ripples(study, [study.fit.residual])]
+    for k, n in found:
+        for often in (f"{n:.4f}", f"{n:.0f}"):  # gears and encoders mostly repeat a whole number of times
+            yield f"axis {k + 1}: a * cos({often} * q_{k + 1}) + b * sin({often} * q_{k + 1})"
 
 
 def _formulas(scene: Scene, depends_on: Sequence[str], turned: Sequence[int]) -> Iterator[str]:

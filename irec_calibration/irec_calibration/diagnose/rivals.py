@@ -59,7 +59,9 @@ def rivals_of(
         alike = [
             o.effect.id
             for o in found
-            if o.effect.family is term.effect.family or (by_step and follows_step(o.effect, final.study.ready))
+            if o.effect.family is term.effect.family
+            or (by_step and follows_step(o.effect, final.study.ready))
+            or (term.effect.turns_by_angle and o.effect.turns_by_angle)
         ]
         others |= {i: None for i in (*alike, *gone) if i not in final.ids and i not in others}
         if not others:
@@ -76,7 +78,10 @@ def rivals_of(
         stays = lasts(final.study, term) if in_one_pose(final, term.effect.id) else 0.0
         same = []
         for other, then in others.items():
-            trial = try_option(ground, by_id[other], rest.ready)
+            option = by_id[other].on(rest)
+            if not option.tables:
+                continue
+            trial = try_option(ground, option, rest.ready)
             if then is None and trial.log_evidence < settings.nats_to_prefer:
                 continue
             one = explain(start, bare, trial, family)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..effects import Parameter
+from ..effects.scene import Scene
 from ..errors import SolveError
 from ..model import Estimate, Term
 from .candidates import Trial, block_at, block_columns
@@ -32,10 +33,19 @@ def refit(study: Study, trial: Trial) -> Study | None:
         for p in variant.effect.parameters(study.ready)
         if p.name in known
     }
+    terms = tuple(_all_springs(t, study.ready) for t in study.terms) if variant.effect.loads_arm else study.terms
     try:
-        return study_of(study.observation, (*study.terms, Term(variant.effect, estimates)))
+        return study_of(study.observation, (*terms, Term(variant.effect, estimates)))
     except SolveError:
         return None
+
+
+def _all_springs(term: Term, scene: Scene) -> Term:
+    """A term with all springs of its effect, in an absolute session: a force beside the weight shows some that that doesn't."""
+    if scene.kind != "absolute" or not term.effect.elastic or not term.estimates:
+        return term
+    own = term.effect.parameters(scene)
+    return replace(term, estimates={p.name: term.estimates.get(p.name, Estimate(p.start, unit=p.unit)) for p in own})
 
 
 def _refined(study: Study, trial: Trial) -> dict[str, float]:

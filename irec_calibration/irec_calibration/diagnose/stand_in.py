@@ -11,19 +11,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 
 from ..effects import find_effect, is_predicted
+from ..effects.joint_ripple import MOST, JointRipple
 from ..identification.validation import gain
-from ..model import Term
+from ..model import Estimate, Term
 from ..session.data import Session
 from .build import Built
 from .explanation import Explanation, implausible, in_one_pose
 from .held_out import Validated, held_out_beside, validated
 from .naming import needed
 from .parts import prune
+from .priors import FACTORS
 from .settings import SETTINGS, Settings
+from .study import study_of
 from .tries import step
 
 
@@ -60,6 +64,9 @@ def stand_ins(
     if len(built.start.study.bench.poses) < settings.fewest_poses:
         return ()
     current = built.final
+    ripple = _ripple(session, built, after, settings)
+    if ripple is not None:
+        out.append(ripple)
     while len(current.added) < settings.most_names:
         tried = built.tried.get(current.ids) or step(built.start, current, built.possible, built.family, None, check, settings)
         found = _best(tried, current, out[-1].model if out else after, session, check, settings)
@@ -68,6 +75,26 @@ def stand_ins(
         current, one = found
         out.append(one)
     return tuple(out)
+
+
+def _ripple(session: Session, built: Built, before: Validated, settings: Settings) -> StandIn | None:
+    """What repeats many times per turn of joints, where what is left shows it and it helps on held-out poses."""
+    found = [p.structure.ripple for p in built.final.remainder.structures if p.structure.ripple is not None]
+    axes = {k for k, often in found if often <= MOST}
+    if not axes:
+        return None
+    effect = find_effect(JointRipple.id)
+    own = [p for p in effect.parameters(built.start.study.ready) if p.axis in axes]
+    term = Term(effect, {p.name: Estimate(0.0, unit=p.unit) for p in own})
+    beside = study_of(before.study.observation, (*before.study.terms, term))
+    with_it, without_it = (s.bench.posterior(s.base).log_evidence for s in (beside, before.study))
+    odds = float(with_it - without_it) - log(len(FACTORS))
+    if odds < settings.nats_to_name:
+        return None
+    made = validated(session, (*before.study.terms, term))
+    mean, se, _ = gain(before.held_out, held_out_beside(before.study, made.study))
+    helps = made.held_out.rms_m < before.held_out.rms_m and mean > settings.held_out_sigmas * se
+    return StandIn(effect.id, odds, made) if helps else None
 
 
 def _best(

@@ -89,7 +89,8 @@ def step(
 def tried_on(current: Explanation, found: Sequence[Option], beside: Block | None = None) -> list[Trial]:
     """Every effect that a model does not have, on top of it or of more columns, best first."""
     ground = Ground(current.study.bench, current.study.base if beside is None else beside)
-    tried = (try_option(ground, o, current.study.ready) for o in found if o.effect.id not in current.ids)
+    open_ = (o.on(current.study) for o in found if o.effect.id not in current.ids)
+    tried = (try_option(ground, o, current.study.ready) for o in open_ if o.tables)
     return sorted(tried, key=lambda t: -t.log_evidence)
 
 

@@ -204,6 +204,13 @@ def _rest(assessment: Assessment) -> list[str]:
     out = [f"{has}: {'; '.join(SHOWN_BY[e] for e in assessment.evidence)}."]
     if assessment.depends_on:
         out.append(f"It depends on {', '.join(assessment.depends_on)}.")
+    ripples: dict[int, float] = {}
+    for p in assessment.remainder.structures:
+        if p.structure.ripple is not None:
+            ripples.setdefault(*p.structure.ripple)  # the strongest of each axis
+    if ripples:
+        often = " and ".join(f"{n:.3g} times per turn of axis {k + 1}" for k, n in sorted(ripples.items()))
+        out.append(f"Some of it repeats about {often}, as errors of a gear or an encoder do.")
     closest = assessment.built.closest
     if closest is not None and closest.ids and assessment.reason:
         out.append(f"The closest try, {_label(closest.ids[-1])}, is not named as a cause: {assessment.reason}.")

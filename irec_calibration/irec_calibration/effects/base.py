@@ -98,6 +98,7 @@ class Effect(ABC):
         cause: what its displacement comes from; decides about predictions and the live correction.
         elastic: a spring of the structure: part of the elastic response that other effects refer to.
         needs_elastic: reads `scene.elastic`.
+        loads_arm: a force on the arm beside process and weight: an absolute session shows it as soon as the model has springs.
         moves_joints: in a loaded session springs turn about other lines than the robot description has: reads
             `scene.response.by_geometry`, and has `standing`, which predictions rest on.
         needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`, `tracker`,
@@ -116,6 +117,7 @@ class Effect(ABC):
             is set by the session, and no axis is taken out for want of evidence.
         by_angle: the compliance of its axes goes with their own angle, in one form of many.
         turns_by_angle: turns each axis by a law of its own angle, whatever the load.
+        stands_in: describes what has no name, and is none itself: never weighed for a verdict (`diagnose/stand_in.py`).
         chosen_by_poses: in an absolute session it gets, without values, those parameters that the poses determine.
     """
 
@@ -126,6 +128,7 @@ class Effect(ABC):
     cause: ClassVar[Cause] = Cause.LOAD
     elastic: ClassVar[bool] = False
     needs_elastic: ClassVar[bool] = False
+    loads_arm: ClassVar[bool] = False
     moves_joints: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ()
     in_readings: ClassVar[bool] = False
@@ -138,6 +141,7 @@ class Effect(ABC):
     compliance_of: ClassVar[Axes | None] = None
     by_angle: ClassVar[bool] = False
     turns_by_angle: ClassVar[bool] = False
+    stands_in: ClassVar[bool] = False
     chosen_by_poses: ClassVar[bool] = False
     obsolete: ClassVar[tuple[str, ...]] = ()
 

@@ -15,6 +15,7 @@ from .geometry_error import GeometryError
 from .joint_backlash import JointBacklash
 from .joint_coupling import JointCoupling
 from .joint_hysteresis import JointHysteresis
+from .joint_ripple import JointRipple
 from .joint_settling import JointSettling
 from .joint_stiffening import JointStiffening
 from .joint_torsion import JointTorsion
@@ -59,5 +60,6 @@ CATALOGUE: tuple[type[Effect], ...] = (
     MarkerPosition,
     JointSettling,
     EncoderHarmonics,
+    JointRipple,
     ExternalForce,
 )

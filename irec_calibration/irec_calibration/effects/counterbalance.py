@@ -17,6 +17,9 @@ from .traits import Family
 
 AXIS = 1  # index of joint_2
 NAMES = ("a", "b", "a_twice", "b_twice")
+PRELOAD = ("p_a", "p_b", "p_a_twice", "p_b_twice")
+HEAVY = 1000.0  # N m about axis 2 by the arm's own weight; arms below that have no balancer
+WITHOUT = -5.0  # odds of 150 against one, natural log
 LEAST_LEFT = 0.5  # of the compliance of axis 2, beside a balancer; those of heavy arms change it by +-10 to 25 % with posture
 
 
@@ -26,21 +29,35 @@ class Counterbalance(Effect):
     physics = (
         "A spring or gas balancer acts in parallel with axis 2; the share of the load that it carries varies with its angle: "
         "J_2 (a sin q_2 + b cos q_2 + a_twice sin 2 q_2 + b_twice cos 2 q_2) tau_2: its force times the change of its lever, and "
-        "its stiffness times the square of that. Missing, the compliance of axis 2 seems to vary with q_2."
+        "its stiffness times the square of that. Missing, the compliance of axis 2 seems to vary with q_2. What it carries of "
+        "the weight turns the axis by an angle of that form too, which an absolute session sees: J_2 (p_a sin q_2 + p_b cos q_2 "
+        "+ p_a_twice sin 2 q_2 + p_b_twice cos 2 q_2), as an eccentric encoder does. A loaded session sees no difference of it."
     )
     family = Family.TORQUE_LAW
     by_angle = True
+    turns_by_angle = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         if scene.n_joints <= AXIS or not scene.driven[AXIS]:
             return ()
         scale = 0.3 * typical_compliance(scene.robot)[AXIS]
         limits = (-20.0 * scale, 20.0 * scale)
-        return tuple(Parameter(name, "rad/(N m)", scale, plausible=limits, axis=AXIS) for name in NAMES)
+        by_load = [Parameter(name, "rad/(N m)", scale, plausible=limits, group="stiffness", axis=AXIS) for name in NAMES]
+        carried = max(float(scene.gravity.largest[AXIS]), 1.0) * scale
+        limits = (-20.0 * carried, 20.0 * carried)
+        by_weight = [Parameter(name, "rad", carried, plausible=limits, group="preload", axis=AXIS) for name in PRELOAD]
+        return (*by_load, *by_weight)
+
+    def log_odds(self, scene: Scene) -> float:
+        light = scene.kind == "absolute" and scene.gravity.largest[AXIS] < HEAVY
+        return WITHOUT if light else 0.0
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        axis_2 = scene.J[:, :, AXIS] * scene.load_torque()[:, None, AXIS]
-        return axis_2[:, :, None] * harmonics(scene.q[:, AXIS])[:, None, :]
+        waves = harmonics(scene.q[:, AXIS])[:, None, :]
+        axis_2 = scene.J[:, :, AXIS, None]
+        by_load = axis_2 * scene.load_torque()[:, None, AXIS, None] * waves
+        by_weight = axis_2 * waves if scene.kind == "absolute" else np.zeros_like(by_load)
+        return np.concatenate([by_load, by_weight], axis=2)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         own = compliance.get(f"c_{AXIS + 1}")
@@ -56,7 +73,7 @@ class Counterbalance(Effect):
         )
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
-        return _Balancer(*theta) if len(theta) else LeftOut("has no axis to act on in this robot")
+        return _Balancer(*theta[: len(NAMES)]) if len(theta) else LeftOut("has no axis to act on in this robot")
 
 
 def harmonics(q: Array) -> Array:

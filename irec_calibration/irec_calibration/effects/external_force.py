@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ AXES = ("x", "y", "z")
 FOREARM = ("along", "a", "b")  # along the axis of the joint that moves the forearm, and along its two virtual axes
 AT_FLANGE = 0.15  # m from the TCP; about where a head carries its hoses
 WRIST_AXES = 3
+ACROSS = 3.0  # standard errors up to which a force has no component across gravity
 
 
 class ExternalForce(Effect):
@@ -30,11 +32,13 @@ class ExternalForce(Effect):
         "at the reference and under load: J C J^T f_0. Parts of the family: constant in base_link or in tool0; drawn towards a "
         "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); constant in the frame of the "
         "forearm, where the hose is fixed there; turning with a wrist axis; and a torque, since it does not pull at the TCP. "
-        "Missing, the residual is there whatever the process force and depends on the pose only. A force that stays the same "
-        "cancels."
+        "Missing, the residual is there whatever the process force and depends on the pose only. In a loaded session a force "
+        "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload of "
+        "another mass."
     )
     family = Family.SENSOR
     needs_elastic = True
+    loads_arm = True
     needs = ("relaxed",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
@@ -67,6 +71,21 @@ class ExternalForce(Effect):
         frame = np.concatenate([scene.kin.axis[:, k, None], scene.kin.virtual_axis[:, k]], axis=1)
         with_forearm = np.einsum("nij,ndj->nid", in_base, frame)
         return np.concatenate([in_base, in_tool, towards, *by_wrist, with_forearm, by_torque], axis=2)
+
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
+        constant = [f"f_{a}" for a in AXES]
+        if scene.kind != "absolute" or set(values) != set(constant):
+            return ""
+        force, errors = np.array([values[n] for n in constant]).T
+        down = scene.gravity_in_base / max(float(np.linalg.norm(scene.gravity_in_base)), 1e-9)
+        along = float(force @ down)
+        if np.any(np.abs(force - along * down) > ACROSS * errors) or not along:
+            return ""
+        mass = along / max(float(np.linalg.norm(scene.gravity_in_base)), 1e-9)
+        return (
+            f"a constant force along gravity, {along:.3g} N, is no hose but a payload that is {mass:+.3g} kg from what the"
+            " session states; check payload.mass"
+        )
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
         pull = [self.displacement(replace(scene, elastic=_unit(len(scene), part)), theta) for part in range(2)]

@@ -252,6 +252,11 @@ class Scene:
         moment = np.cross(self.p_tcp, self.force) + self.torque
         return force, self.total(moment, lambda: self.gravity.wrench_at_base[1])
 
+    def load_wrench_in_tool(self) -> tuple[Array, Array]:
+        """Force and torque about tool0 that a spring beyond the flange answers to, in tool0, (n, 3) each, N and N m."""
+        force = self.total(self.force_in_tool, lambda: self.gravity.payload_in_tool[0])
+        return force, self.total(self.torque_in_tool, lambda: self.gravity.payload_in_tool[1])
+
     def preload(self) -> Array:
         """Torque about the actuated axes whose effect cancels in what is observed, (n, k), N m: gravity's, or none."""
         return self.tau_gravity if self.kind == "loaded" else np.zeros_like(self.tau_gravity)

@@ -193,6 +193,15 @@ class Gravity:
         return _fixed(force[:, 0].copy()), _fixed(moment[:, 0] + np.cross(self.arm.kin.origin[:, 0], force[:, 0]))
 
     @cached_property
+    def payload_in_tool(self) -> tuple[Array, Array]:
+        """Weight of the payload and its moment about tool0, in tool0, (n, 3) each, N and N m."""
+        if self.payload is None:
+            nothing = np.zeros((len(self.arm.q), 3))
+            return _fixed(nothing), _fixed(nothing)
+        weight = self.payload.mass * np.einsum("nji,j->ni", self.arm.kin.R_tool, self.in_base)
+        return _fixed(weight), _fixed(np.cross(self.payload.com, weight))
+
+    @cached_property
     def largest(self) -> Array:
         """The largest torque about each axis, (k,), N m."""
         return _fixed(np.abs(self.tau).max(axis=0, initial=0.0))

@@ -10,7 +10,7 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
-from .scales import USUAL_SHARE
+from .scales import STIFFER_THAN, USUAL_SHARE, typical_compliance
 from .scene import Scene
 from .traits import Family
 
@@ -23,8 +23,9 @@ class ToolCompliance(Effect):
     label = "tool compliance"
     physics = (
         "The end-effector (spindle, AFP head, sensor, tool changer) deforms between flange and TCP: R K^-1 R^T f with a "
-        "symmetric compliance tensor in tool0. Missing, the residual is constant in the tool frame, proportional to the "
-        "force and blind to the arm's pose."
+        "symmetric compliance tensor in tool0, and about tool0's axes under the torque there. In an absolute session the "
+        "payload's weight bends it. Missing, the residual is constant in the tool frame, proportional to the force and blind "
+        "to the arm's pose."
     )
     family = Family.SPRING
     elastic = True
@@ -34,16 +35,22 @@ class ToolCompliance(Effect):
         scale = 1e-7
         straight = [Parameter(f"c_{a}", "m/N", scale, lower=0.0, plausible=(0.0, 5e-6), group="straight") for a in AXES]
         cross = [Parameter(f"c_{AXES[i]}{AXES[j]}", "m/N", 0.3 * scale, plausible=(-2e-6, 2e-6), group="cross") for i, j in PAIRS]
-        return (*straight, *cross)
+        stiff = typical_compliance(scene.robot)[np.flatnonzero(scene.driven)[-1]]
+        limit = STIFFER_THAN * stiff
+        turning = [Parameter(f"r_{a}", "rad/(N m)", stiff, lower=0.0, plausible=(0.0, limit), group="turning") for a in AXES]
+        return (*straight, *cross, *turning)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        f = scene.force_in_tool
-        in_tool = np.zeros((len(scene), 3, 6))
+        f, torque = scene.load_wrench_in_tool()
+        beyond = np.einsum("nji,nj->ni", scene.kin.R_tool, scene.p_observed - scene.p_tcp)
+        in_tool = np.zeros((len(scene), 3, 9))
         for a in range(3):
             in_tool[:, a, a] = f[:, a]
         for c, (i, j) in enumerate(PAIRS):
             in_tool[:, i, 3 + c] = f[:, j]
             in_tool[:, j, 3 + c] = f[:, i]
+        for a in range(3):
+            in_tool[:, :, 6 + a] = np.cross(np.eye(3)[a] * torque[:, a, None], beyond)
         return np.einsum("nij,njp->nip", scene.kin.R_tool, in_tool) * scene.moves_with_arm[:, None, None]
 
     def is_usual(self, values: Mapping[str, float], share: float) -> bool:
@@ -51,6 +58,6 @@ class ToolCompliance(Effect):
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         entries = [(f"tool_{a}", f"tool_{a}", float(v)) for a, v in zip(AXES, theta[:3], strict=True)]
-        for (i, j), v in zip(PAIRS, theta[3:], strict=True):
+        for (i, j), v in zip(PAIRS, theta[3:6], strict=True):
             entries += [(f"tool_{AXES[a]}", f"tool_{AXES[b]}", float(v)) for a, b in ((i, j), (j, i))]
         return Springs(tuple(entries))

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What repeats many times per turn of a joint: the transmission error of a gear, an encoder with many lines.
+
+Smooth functions of an angle don't follow it, and unseen it passes for noise. How often it repeats is not known beforehand, so it
+is looked for in what a model leaves, and the number of frequencies that were tried counts against it. In absolute sessions only:
+between two readings at one pose it cancels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..typing import Array
+from .study import Study
+
+FEWEST, MOST = 3.0, 400.0  # repeats per turn; smooth functions follow fewer, and gears have up to some 320
+FEWEST_IN_SPAN = 1.5  # repeats within the angles of a session
+ROWS_SEARCHED = 2000  # of a larger session: enough to find what is worth a name
+FINER = 21  # frequencies about the strongest one, over two steps
+KEPT = 2  # of each residual, the strongest
+
+
+def ripples(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[int, float, Array, int]]:
+    """The ripples that residuals follow most, one for each joint at most.
+
+    Args:
+        residuals: of the observed rows, (m, 3) each, m.
+
+    Yields:
+        joint (counted from 0), repeats per turn, displacement by sine and cosine per rad in all rows of the session, (n, 3, 2),
+        how many frequencies of joints were tried.
+    """
+    scene, rows = study.ready, study.observation.rows
+    turning = np.flatnonzero(scene.driven & ~scene.kin.is_prismatic)
+    if scene.kind != "absolute" or not len(turning):
+        return
+    some = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), ROWS_SEARCHED)).astype(int))
+    sigma = study.observation.whiten.sigma[some, None]
+    by_joint = {int(k): _frequencies(scene.q[rows[some], k]) for k in turning}
+    tried = sum(len(f) for f in by_joint.values())
+    best: dict[tuple[int, float], float] = {}
+    for residual in residuals:
+        r = residual[some] / sigma
+        found = {}
+        for k, frequency in by_joint.items():
+            if len(frequency):
+                n, power = _strongest(scene.q[rows[some], k], scene.J[rows[some], :, k] / sigma, r, frequency)
+                found[k, n] = power
+        best |= dict(sorted(found.items(), key=lambda t: -t[1])[:KEPT])
+    for k, n in best:
+        angle = n * scene.q[:, k]
+        waves = scene.J[:, :, k, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1)[:, None, :]
+        yield k, n, waves, tried
+
+
+def _frequencies(q: Array) -> Array:
+    """Repeats per turn that angles (m,) can show, as close as they tell them apart."""
+    span = float(np.ptp(q)) / (2.0 * np.pi)
+    first = max(FEWEST, FEWEST_IN_SPAN / max(span, 1e-9))
+    return np.arange(first, MOST, 0.5 / span) if first < 0.5 * MOST else np.zeros(0)
+
+
+def _strongest(q: Array, by_angle: Array, residual: Array, frequency: Array) -> tuple[float, float]:
+    """The frequency with the most power, and that; arguments as of `_power`."""
+    step = frequency[1] - frequency[0]
+    near = frequency[int(np.argmax(_power(q, by_angle, residual, frequency)))] + np.linspace(-step, step, FINER)
+    power = _power(q, by_angle, residual, near)
+    i = int(np.argmax(power))
+    return float(near[i]), float(power[i])
+
+
+def _power(q: Array, by_angle: Array, residual: Array, frequency: Array) -> Array:
+    """How far the squared residual falls with sine and cosine of each frequency, (f,).
+
+    Args:
+        by_angle: displacement by the joint's angle, (m, 3), and residual, (m, 3), in standard deviations.
+    """
+    along, weight = (by_angle * residual).sum(axis=1), (by_angle**2).sum(axis=1)
+    phase = np.exp(1j * frequency[:, None] * q)
+    b = phase @ along
+    twice = (phase**2) @ weight
+    ss, cc, sc = 0.5 * (weight.sum() - twice.real), 0.5 * (weight.sum() + twice.real), 0.5 * twice.imag
+    determinant = np.maximum(ss * cc - sc**2, 1e-12 * weight.sum() ** 2)
+    s, c = b.imag, b.real
+    out: Array = (cc * s**2 - 2.0 * sc * s * c + ss * c**2) / determinant
+    return out

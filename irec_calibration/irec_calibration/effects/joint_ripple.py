@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of a gear or an encoder that repeat many times per turn of the joint."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..typing import Array, IntArray
+from .base import Effect, Parameter
+from .scene import Scene
+from .traits import Cause, Family
+
+FEWEST, MOST = 3, 32  # repeats per turn; fewer are `encoder_harmonics`, and smooth functions
+TYPICAL = 3e-5  # rad; transmission errors of sound gears are up to 1.5e-4
+LARGEST = 1.5e-3  # rad; as of `encoder_harmonics`
+
+
+class JointRipple(Effect):
+    id = "joint_ripple"
+    label = "joint ripple"
+    physics = (
+        "Teeth, the wave generator of a strain wave gear and the tracks of an encoder make joint errors that repeat many times "
+        f"per turn: J_k sum_m (a_m sin m q_k + b_m cos m q_k), m = {FEWEST} .. {MOST}. Missing, the residual repeats with the "
+        "pose and looks like noise wherever poses are not close together. It stands in for what has no name and is never a "
+        "verdict: which of these it is, no pose tells."
+    )
+    family = Family.ANGLE_ERROR
+    cause = Cause.STATE
+    needs = ("tracker",)
+    stands_in = True
+
+    def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        if scene.kind == "loaded":  # it cancels between two readings at one pose
+            return ()
+        return tuple(
+            Parameter(f"{t}{m}_{k + 1}", "rad", TYPICAL, plausible=(-LARGEST, LARGEST), group=f"axis {k + 1}", axis=int(k))
+            for k in _turning(scene)
+            for m in range(FEWEST, MOST + 1)
+            for t in "ab"
+        )
+
+    def regressor(self, scene: Scene, theta: Array) -> Array:
+        n, k = len(scene), _turning(scene)
+        if scene.kind == "loaded" or not len(k):
+            return np.zeros((n, 3, 0))
+        phase = np.exp(1j * scene.q[:, k, None] * np.arange(FEWEST, MOST + 1))
+        waves = np.stack([phase.imag, phase.real], axis=3)  # (n, axes, orders, 2)
+        columns: Array = scene.J[:, :, k, None, None] * waves[:, None]
+        return columns.reshape(n, 3, -1)
+
+
+def _turning(scene: Scene) -> IntArray:
+    return np.flatnonzero(scene.driven & ~scene.kin.is_prismatic)
