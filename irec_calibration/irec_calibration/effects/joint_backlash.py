@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..robot.ratings import rated_torque
@@ -18,6 +20,9 @@ TAKEN_UP_OVER = (AT_ONCE, 0.004, 0.015)
 # Gear makers read lost motion at +-3 % of the rated torque. What is soft over a wider range is a spring: joint_stiffening.
 WIDEST = 0.03
 PLAY = 1.0e-4  # rad, of one gear, that a check over the years must find
+# Sound gears have lost motion of up to an arc minute, 2.9e-4 rad; chosen: what was found in several axes of such robots, at most
+USUAL_PLAY, USUAL_AXES = 1.0e-4, 3
+ALIKE = 1.0 / 3.0  # of the largest play, from which on an axis counts
 
 
 class JointBacklash(Effect):
@@ -51,6 +56,11 @@ class JointBacklash(Effect):
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray:
         return np.append(comes_near_zero(scene, theta[-1] * rated_torque(scene.robot))[scene.driven], True)
+
+    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+        play = [v for n, v in values.items() if n.startswith("b_")]
+        largest = max(play, default=0.0)
+        return largest <= USUAL_PLAY and sum(v >= ALIKE * largest > 0.0 for v in play) >= USUAL_AXES
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         return tuple(

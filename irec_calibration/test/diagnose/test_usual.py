@@ -46,6 +46,20 @@ def test_tools_and_floors_give_way_a_little_in_every_cell(effect_id) -> None:
     assert effect.is_usual({}, 0.02) and not effect.is_usual({}, 0.05)
 
 
+@pytest.mark.parametrize(
+    ("play", "usual"),
+    [
+        ((4e-5, 4e-5, 0.0, 8e-5, 3e-5), True),  # a little in every gear
+        ((0.0, 5e-5, 0.0, 0.0, 0.0), False),  # one gear is unlike the others
+        ((2e-5, 3e-5, 2e-5, 1.2e-4, 1e-5), False),
+        ((2e-4, 2e-4, 2e-4, 2e-4, 2e-4), False),
+    ],
+)
+def test_lost_motion_of_a_third_of_an_arc_minute_in_several_gears_is_usual(play, usual) -> None:
+    values = {f"b_{k + 1}": b for k, b in enumerate(play)} | {"w": 0.03}
+    assert find_effect("joint_backlash").is_usual(values, 0.03) == usual
+
+
 def test_what_no_sound_robot_has_is_not_usual_whatever_its_size() -> None:
     assert not find_effect("joint_backlash").is_usual({"b_1": 1e-9}, 1e-9)
 
