@@ -2,6 +2,7 @@
 """Figures of docs/real-data: held-out error of a ladder of models on each measured set, and what `irec improve` makes of it.
 
     .venv/bin/python tools/real_data.py [SET ...] [-o docs/real-data] [--ladder]
+    .venv/bin/python tools/real_data.py --across ur10-d ur10-a ur10-b
 
 Data are looked for in IREC_REAL_DATA, or ../shared/data beside the checkout; sets that are not there are skipped.
 """
@@ -11,16 +12,18 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from irec_calibration.diagnose import improve, validated
+from irec_calibration.diagnose import compare, improve, validated
 from irec_calibration.identification.absolute import base_terms, near_pairs, thinned
 from irec_calibration.identification.identify import fit, observe_with_force_noise
 from irec_calibration.identification.validation import ESTIMATOR
 from irec_calibration.model import blank_model
 from irec_calibration.report.style import BLUE, GREY, ORANGE, pyplot, save
+from irec_calibration.session import Session
 from irec_calibration.session.foreign import import_table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -73,10 +76,22 @@ def ladder(one: Set) -> list[tuple[str, tuple[str, ...] | None]]:
     return out
 
 
+def across(names: Sequence[str]) -> None:
+    """Print how far the versions that `irec improve` makes of one set are from others of the same robot."""
+    first, *others = (_imported(SETS[name]) for name in names)
+    for rung in improve(first).rungs:
+        errors = (f"{name} {1e3 * compare(session, rung.model.terms).rms_m:.3f}" for name, session in zip(names[1:], others))
+        print(f"{names[0]} {rung.title:44} rms, mm: {', '.join(errors)}", flush=True)
+
+
+def _imported(one: Set) -> Session:
+    with tempfile.TemporaryDirectory() as scratch:
+        return import_table(ROOT / "docs" / "real-data" / f"{one.profile}.profile.yaml", DATA / one.table, scratch)
+
+
 def run(name: str, one: Set, folder: Path, ladder_only: bool) -> None:
     """Print the ladder of one set, draw it, and print what `irec improve` adds and says."""
-    with tempfile.TemporaryDirectory() as scratch:
-        session = import_table(ROOT / "docs" / "real-data" / f"{one.profile}.profile.yaml", DATA / one.table, scratch)
+    session = _imported(one)
     whole = observe_with_force_noise(session, base_terms())
     few = thinned(whole)
     print(f"{name}: {len(session)} rows, {len(few.rows)} used; {ESTIMATOR}")
@@ -140,7 +155,11 @@ def main() -> None:
     parser.add_argument("sets", nargs="*", choices=[*SETS, []], help=f"default: all of {', '.join(SETS)}")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "real-data")
     parser.add_argument("--ladder", action="store_true", help="the ladder and the figure only")
+    parser.add_argument("--across", action="store_true", help="improve on the first set, compare each version with the others")
     args = parser.parse_args()
+    if args.across:
+        across(args.sets)
+        return
     for name in args.sets or SETS:
         if (DATA / SETS[name].table).exists():
             run(name, SETS[name], args.output, args.ladder)

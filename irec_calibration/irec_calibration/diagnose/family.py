@@ -201,7 +201,8 @@ def with_bad_rows(family: Family, study: Study, *residuals: Array) -> Family:
     at = structures[-1].columns.stop if structures else 0
     columns = [family.A[:, :at]]
     for k, n, waves, tried in ripples(study, residuals):
-        own, words = study.columns(waves * TYPICAL_ANGLE), f"turning axis {k + 1}, {n:.3g} times per turn"
+        own = study.columns(waves * TYPICAL_ANGLE)
+        words = f"turning axis {k + 1}, {f'{n:.3g}' if own.shape[1] == 2 else 'many'} times per turn"
         structures.append(Structure((f"joint_{k + 1}",), words, slice(at, at + own.shape[1]), tried, ripple=(k, n)))
         columns.append(own.astype(family.A.dtype))
         at += own.shape[1]

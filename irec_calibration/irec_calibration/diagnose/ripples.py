@@ -12,14 +12,17 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..effects.joint_ripple import FEWEST as FIRST
+from ..effects.joint_ripple import MOST as LAST
 from ..typing import Array
 from .study import Study
 
 FEWEST, MOST = 3.0, 400.0  # repeats per turn; smooth functions follow fewer, and gears have up to some 320
 FEWEST_IN_SPAN = 1.5  # repeats within the angles of a session
 ROWS_SEARCHED = 2000  # of a larger session: enough to find what is worth a name
+LEAST = 3e-2  # of the largest: directions in a band of frequencies that angles over less than a turn do not show
 FINER = 21  # frequencies about the strongest one, over two steps
-KEPT = 2  # of each residual, the strongest
+KEPT = 3  # of each residual, the strongest
 
 
 def ripples(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[int, float, Array, int]]:
@@ -30,7 +33,8 @@ def ripples(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[int, flo
 
     Yields:
         joint (counted from 0), repeats per turn, displacement by sine and cosine per rad in all rows of the session, (n, 3, 2),
-        how many frequencies of joints were tried.
+        how many frequencies of joints were tried; then, for each joint once, the same for all frequencies of a band together,
+        (n, 3, p), and how many joints there are.
     """
     scene, rows = study.ready, study.observation.rows
     turning = np.flatnonzero(scene.driven & ~scene.kin.is_prismatic)
@@ -50,9 +54,19 @@ def ripples(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[int, flo
                 found[k, n] = power
         best |= dict(sorted(found.items(), key=lambda t: -t[1])[:KEPT])
     for k, n in best:
-        angle = n * scene.q[:, k]
-        waves = scene.J[:, :, k, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1)[:, None, :]
-        yield k, n, waves, tried
+        yield k, n, scene.J[:, :, k, None] * _waves(scene.q[:, k], np.array([n]))[:, None], tried
+    strongest = {k: n for k, n in reversed(best) if n <= LAST}
+    for k, n in strongest.items():  # gears and encoders have many at once
+        band = _waves(scene.q[:, k], np.arange(FIRST, LAST + 1))
+        _, size, directions = np.linalg.svd(band, full_matrices=False)
+        band = band @ directions[size > LEAST * size[0]].T
+        yield k, n, scene.J[:, :, k, None] * band[:, None], len(turning)
+
+
+def _waves(q: Array, frequency: Array) -> Array:
+    """Sines and cosines of angles (n,) at some frequencies (f,), (n, 2f)."""
+    phase = q[:, None] * frequency
+    return np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
 
 
 def _frequencies(q: Array) -> Array:
