@@ -2,7 +2,7 @@
 """Figures of docs/real-data: held-out error of a ladder of models on each measured set, and what `irec improve` makes of it.
 
     .venv/bin/python tools/real_data.py [SET ...] [-o docs/real-data] [--ladder]
-    .venv/bin/python tools/real_data.py --across ur10-d ur10-a ur10-b
+    .venv/bin/python tools/real_data.py --across wam wam-random
 
 Data are looked for in IREC_REAL_DATA, or ../shared/data beside the checkout; sets that are not there are skipped.
 """
@@ -61,6 +61,13 @@ SETS = {
     "ur10-d": Set("ur10-ipa-d", "ipa_ur10_lasertracker/Series_D/measurements_iso_cubes.csv", "UR10, T-Mac, series D"),
 }
 
+RANDOM = {  # other poses of the same robots, to compare models with
+    f"{name}-random": Set(
+        f"{name}-jacobi", f"jacobi_ur5_wam_lasertracker/{name.upper()}/3D_{name.upper()}_uncalibrated_random_cleaned.csv", ""
+    )
+    for name in ("ur5", "wam")
+}
+
 
 def ladder(one: Set) -> list[tuple[str, tuple[str, ...] | None]]:
     """Names of the models and the effects beyond the geometric model (None: stations and markers only)."""
@@ -78,7 +85,7 @@ def ladder(one: Set) -> list[tuple[str, tuple[str, ...] | None]]:
 
 def across(names: Sequence[str]) -> None:
     """Print how far the versions that `irec improve` makes of one set are from others of the same robot."""
-    first, *others = (_imported(SETS[name]) for name in names)
+    first, *others = (_imported((SETS | RANDOM)[name]) for name in names)
     for rung in improve(first).rungs:
         errors = (f"{name} {1e3 * compare(session, rung.model.terms).rms_m:.3f}" for name, session in zip(names[1:], others))
         print(f"{names[0]} {rung.title:44} rms, mm: {', '.join(errors)}", flush=True)
@@ -152,7 +159,7 @@ def draw(path, title, labels, means, floor, geometric, whole, pairs) -> None:  #
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sets", nargs="*", choices=[*SETS, []], help=f"default: all of {', '.join(SETS)}")
+    parser.add_argument("sets", nargs="*", choices=[*SETS, *RANDOM, []], help=f"default: all of {', '.join(SETS)}")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "real-data")
     parser.add_argument("--ladder", action="store_true", help="the ladder and the figure only")
     parser.add_argument("--across", action="store_true", help="improve on the first set, compare each version with the others")
@@ -160,7 +167,7 @@ def main() -> None:
     if args.across:
         across(args.sets)
         return
-    for name in args.sets or SETS:
+    for name in [n for n in args.sets if n in SETS] or SETS:
         if (DATA / SETS[name].table).exists():
             run(name, SETS[name], args.output, args.ladder)
         else:

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
-from irec_calibration.diagnose import improve, validated
+from irec_calibration.diagnose import compare, improve, validated
 from irec_calibration.errors import SessionError
 from irec_calibration.identification.absolute import base_terms, near_pairs
 from irec_calibration.identification.identify import fit, identify
@@ -80,12 +80,26 @@ def test_wam_is_far_from_explained_by_geometry(tmp_path):
 def test_wam_is_improved_by_the_side_a_joint_came_from_and_by_torsion(tmp_path):
     table = data("jacobi_ur5_wam_lasertracker") / "WAM" / "3D_WAM_uncalibrated_grid_cleaned.csv"
     told = improve(import_table(PROFILES / "wam-jacobi.profile.yaml", table, tmp_path))
-    assert [r.added for r in told.rungs[1:4]] == ["joint_hysteresis", "joint_torsion", "link_bending"]
+    assert [r.added for r in told.rungs[1:4]] == ["joint_hysteresis", "joint_torsion", "external_force"]
     # gears give way in every arm; what predicts besides has no name
     assert [r.named for r in told.rungs[1:]] == [True, True, *[False] * (len(told.rungs) - 3)]
     assert told.rungs[2].cv_rms_m < 0.87 * told.rungs[0].cv_rms_m
     assert all(b.cv_rms_m < a.cv_rms_m for a, b in zip(told.rungs, told.rungs[1:]))
     assert "structure" in told.stopped  # geometry, lag and springs are not all
+    other = table.with_name("3D_WAM_uncalibrated_random_cleaned.csv")  # poses that no fit has seen
+    random = import_table(PROFILES / "wam-jacobi.profile.yaml", other, tmp_path / "random")
+    errors = [compare(random, r.model.terms).rms_m for r in told.rungs]
+    assert all(b < a for a, b in zip(errors, errors[1:])), errors
+
+
+@pytest.mark.slow
+def test_what_the_ur10_has_left_repeats_many_times_per_turn_of_its_joints(tmp_path):
+    table = data("ipa_ur10_lasertracker") / "Series_D" / "measurements_iso_cubes.csv"
+    told = improve(import_table(PROFILES / "ur10-ipa-d.profile.yaml", table, tmp_path))
+    ripple = next(r for r in told.rungs if r.added == "joint_ripple")
+    assert not ripple.named
+    assert ripple.cv_rms_m < 0.5 * told.rungs[told.rungs.index(ripple) - 1].cv_rms_m
+    assert "times per turn of axis 2" in told.before.verdict.text
 
 
 def test_kr300_skew_is_the_same_on_all_axes_and_only_axis_3_tells_a_stiffness():
