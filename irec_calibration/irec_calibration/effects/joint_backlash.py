@@ -21,8 +21,7 @@ TAKEN_UP_OVER = (AT_ONCE, 0.004, 0.015)
 WIDEST = 0.03
 PLAY = 1.0e-4  # rad, of one gear, that a check over the years must find
 # Sound gears have lost motion of up to an arc minute, 2.9e-4 rad; chosen: what was found in several axes of such robots, at most
-USUAL_PLAY, USUAL_AXES = 1.0e-4, 3
-ALIKE = 1.0 / 3.0  # of the largest play, from which on an axis counts
+USUAL_PLAY, USUAL_AXES = 1.0e-4, 2.3
 
 
 class JointBacklash(Effect):
@@ -59,8 +58,8 @@ class JointBacklash(Effect):
 
     def is_usual(self, values: Mapping[str, float], share: float) -> bool:
         play = [v for n, v in values.items() if n.startswith("b_")]
-        largest = max(play, default=0.0)
-        return largest <= USUAL_PLAY and sum(v >= ALIKE * largest > 0.0 for v in play) >= USUAL_AXES
+        axes = sum(play) ** 2 / max(sum(v**2 for v in play), 1e-300)  # how many it is spread over, counted by size
+        return max(play, default=0.0) <= USUAL_PLAY and axes >= USUAL_AXES
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         return tuple(
