@@ -22,7 +22,7 @@ from .remainder import grow
 from .rivals import Check, Rivals, rivals_of
 from .settings import SETTINGS, Settings
 from .several import Tried, several_together
-from .standing import proven, pruned
+from .standing import all_stand, proven, pruned
 from .study import Study
 from .tries import step, tried_on, two_together, waiting
 
@@ -180,7 +180,14 @@ class _Way:
         found = rivals_of(start, self.steps[-1], self.near, gone, self.found, family, self.check, settings)
         for _ in self.steps[-1].ids:
             likelier = [(o, b) for o, b in found.likelier if not any(set(s.ids) == set(o.ids) for s in self.steps)]
-            better = next((pair for pair in likelier if not refused(start, pair[1], pair[0], family, settings)[0]), None)
+            better = next(
+                (
+                    (one, bare)
+                    for one, bare in likelier
+                    if not refused(start, bare, one, family, settings)[0] and all_stand(start, one, family, settings)
+                ),
+                None,
+            )
             if better is None:
                 break
             one, bare = better

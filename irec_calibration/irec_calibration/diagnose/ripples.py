@@ -57,7 +57,7 @@ def ripples(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[int, flo
         yield k, n, scene.J[:, :, k, None] * _waves(scene.q[:, k], np.array([n]))[:, None], tried
     strongest = {k: n for k, n in reversed(best) if n <= LAST}
     for k, n in strongest.items():  # gears and encoders have many at once
-        band = _waves(scene.q[:, k], np.arange(FIRST, LAST + 1))
+        band = _waves(scene.q[:, k], np.arange(FIRST, LAST + 1.0))
         _, size, directions = np.linalg.svd(band, full_matrices=False)
         band = band @ directions[size > LEAST * size[0]].T
         yield k, n, scene.J[:, :, k, None] * band[:, None], len(turning)

@@ -109,7 +109,9 @@ def rivals_of(
             more = 0.0 if in_one_pose(one, other) else stays
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final) + more
             raw = min(odds, by_themselves - by_rival + more)
-            counts = as_they_count(raw, by_themselves - by_none, law, settings)
+            # an arm that tilts or bends gives way in its gears too: without these it is named only where they explain far less
+            share = settings.share_of_form if law else settings.share_beside if other == term.effect.beside else 0.0
+            counts = as_they_count(raw, by_themselves - by_none, share)
             # what has no name may tell them apart no better than they do themselves
             if odds < settings.nats_to_name or counts < settings.nats_over_rival:
                 same.append((other, counts))
@@ -120,16 +122,16 @@ def rivals_of(
     return Rivals(out, tuple((one, bare) for _, one, bare in sorted(likelier, key=lambda t: t[0])))
 
 
-def as_they_count(odds: float, own: float, law: bool, settings: Settings) -> float:
+def as_they_count(odds: float, own: float, share: float) -> float:
     """Odds of a name over a rival as they are held against `nats_over_rival`, nats.
 
     Args:
-        odds: as they are; own: evidence of the name over none in its place; law: both are laws of an axis' torque. Such a law has
-            the gear's form only nearly, and may win by as much as that loses.
+        odds: as they are; own: evidence of the name over none in its place; share: of that, which the name has to bring more than
+            the rival. A law of torque has the gear's form only nearly, and may win by as much as that loses.
     """
-    if not law:
+    if not share:
         return odds
-    return max(odds - settings.share_of_form * own, min(odds, 0.01))  # the likelier of two stays the likelier
+    return max(odds - share * own, min(odds, 0.01))  # the likelier of two stays the likelier
 
 
 def _beside_bad_rows(models: Sequence[Explanation], family: Family) -> list[float]:

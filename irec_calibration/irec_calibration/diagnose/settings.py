@@ -169,6 +169,10 @@ class Settings(Thresholds):
         0.03, "share of evidence", "of the nonparametric structures that a name replaces, that it must bring more than they do",
         "polynomials of the generic family lose that much where they stand for a cause of another form",
     )  # fmt: skip
+    share_beside: float = threshold(
+        0.25, "share of evidence", "that a base or links bring more than the gears (`Effect.beside`) to be named without them",
+        "chosen; a base was named on a measured robot whose gears explain as much",
+    )  # fmt: skip
     share_feigned: float = threshold(
         0.05, "share of evidence", "of a structure that has no name, that it may lend to any name, however unlike",
         "chosen above `share_of_form`; without it play was named on a measured robot of which most has no name",

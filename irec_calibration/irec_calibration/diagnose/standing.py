@@ -127,7 +127,9 @@ def outweighed(one: Explanation, bare: dict[str, Explanation], effect_id: str, m
 
 def _least(one: Explanation, effect_id: str, left: dict[str, float], settings: Settings) -> float:
     """Evidence that a name needs beside what structures that remain could feign of it."""
-    surely = everywhere(one, effect_id) or shown_by_readings(one, effect_id)
+    # gears and links are there for certain; a base that gives way by more than others do is not, and somebody looks at its bolts
+    is_arm = one.term(effect_id).effect.compliance_of is not None
+    surely = (everywhere(one, effect_id) and is_arm) or shown_by_readings(one, effect_id)
     return needed(one, effect_id, settings) + (0.0 if surely else left[effect_id])
 
 
