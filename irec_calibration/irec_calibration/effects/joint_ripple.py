@@ -21,8 +21,8 @@ class JointRipple(Effect):
     physics = (
         "Teeth, the wave generator of a strain wave gear and the tracks of an encoder make joint errors that repeat many times "
         f"per turn: J_k sum_m (a_m sin m q_k + b_m cos m q_k), m = {FEWEST} .. {MOST}. Missing, the residual repeats with the "
-        "pose and looks like noise wherever poses are not close together. It stands in for what has no name and is never a "
-        "verdict: which of these it is, no pose tells."
+        "pose and looks like noise wherever poses are not close together; in a loaded session it all but cancels. It stands in "
+        "for what has no name and is never a verdict: which of these it is, no pose tells."
     )
     family = Family.ANGLE_ERROR
     cause = Cause.STATE
@@ -30,8 +30,6 @@ class JointRipple(Effect):
     stands_in = True
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        if scene.kind == "loaded":  # it cancels between two readings at one pose
-            return ()
         return tuple(
             Parameter(f"{t}{m}_{k + 1}", "rad", TYPICAL, plausible=(-LARGEST, LARGEST), group=f"axis {k + 1}", axis=int(k))
             for k in _turning(scene)
@@ -41,12 +39,10 @@ class JointRipple(Effect):
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         n, k = len(scene), _turning(scene)
-        if scene.kind == "loaded" or not len(k):
-            return np.zeros((n, 3, 0))
         phase = np.exp(1j * scene.q[:, k, None] * np.arange(FEWEST, MOST + 1))
         waves = np.stack([phase.imag, phase.real], axis=3)  # (n, axes, orders, 2)
         columns: Array = scene.J[:, :, k, None, None] * waves[:, None]
-        return columns.reshape(n, 3, -1)
+        return columns.reshape(n, 3, waves[0].size)
 
 
 def _turning(scene: Scene) -> IntArray:
