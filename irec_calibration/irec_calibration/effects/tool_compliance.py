@@ -23,8 +23,8 @@ class ToolCompliance(Effect):
     label = "tool compliance"
     physics = (
         "The end-effector (spindle, AFP head, sensor, tool changer) deforms between flange and TCP: R K^-1 R^T f with a "
-        "symmetric compliance tensor in tool0, and about tool0's axes under the torque there. In an absolute session the "
-        "payload's weight bends it. Missing, the residual is constant in the tool frame, proportional to the force and blind "
+        "symmetric compliance tensor in tool0. In an absolute session the payload's weight bends it, and turns it about tool0's "
+        "axes. Missing, the residual is constant in the tool frame, proportional to the force and blind "
         "to the arm's pose."
     )
     family = Family.SPRING
@@ -49,8 +49,9 @@ class ToolCompliance(Effect):
         for c, (i, j) in enumerate(PAIRS):
             in_tool[:, i, 3 + c] = f[:, j]
             in_tool[:, j, 3 + c] = f[:, i]
-        for a in range(3):
-            in_tool[:, :, 6 + a] = np.cross(np.eye(3)[a] * torque[:, a, None], beyond)
+        if scene.kind == "absolute":  # a loaded session and a correction know the force at the TCP, about which it turns nothing
+            for a in range(3):
+                in_tool[:, :, 6 + a] = np.cross(np.eye(3)[a] * torque[:, a, None], beyond)
         return np.einsum("nij,njp->nip", scene.kin.R_tool, in_tool) * scene.moves_with_arm[:, None, None]
 
     def is_usual(self, values: Mapping[str, float], share: float) -> bool:
