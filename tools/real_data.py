@@ -165,9 +165,14 @@ def main() -> None:
     parser.add_argument("--across", action="store_true", help="improve on the first set, compare each version with the others")
     args = parser.parse_args()
     if args.across:
+        known = SETS | RANDOM
+        if len(args.sets) < 2 or not all((DATA / known[n].table).exists() for n in args.sets):
+            parser.error(f"--across compares two sets or more, which have to be in {DATA}")
         across(args.sets)
         return
-    for name in [n for n in args.sets if n in SETS] or SETS:
+    if any(n in RANDOM for n in args.sets):
+        parser.error(f"{', '.join(RANDOM)}: for --across only")
+    for name in args.sets or SETS:
         if (DATA / SETS[name].table).exists():
             run(name, SETS[name], args.output, args.ladder)
         else:

@@ -165,3 +165,12 @@ def test_wrong_geometry_alone_is_not_more_than_the_base_model():
     truth = _truth("ur10")
     oracle = consult_absolute(_made(truth, 80, seed=1), _made(truth, 40, seed=2))
     assert oracle.seen == () and oracle.base_m == oracle.oracle_m < 3e-5
+
+
+@pytest.mark.parametrize("effect", ["tool_compliance", "external_force"])
+def test_a_soft_tool_and_a_dress_pack_move_the_tcp_without_any_process(effect):
+    springs = ("joint_torsion", "link_bending")
+    plain, more = (_made(_truth("kr300_r2500_ultra", *springs, *own, exact=True), 20) for own in ((), (effect,)))
+    moved = np.linalg.norm(more.p_tcp - plain.p_tcp, axis=1)
+    assert 5e-6 < np.sqrt((moved**2).mean()) < 3e-3
+    assert moved.std() > 0.05 * moved.mean()  # by the pose: the payload turns with the tool, the hose with the place

@@ -105,7 +105,7 @@ class Option:
         if not self.by_springs:
             return self
         found, _ = options(study, [self.effect])
-        return replace(self, tables=found[0].tables)
+        return replace(self, tables=found[0].tables if found else ())
 
 
 def options(

@@ -200,9 +200,8 @@ def with_bad_rows(family: Family, study: Study, *residuals: Array) -> Family:
     structures = [s for s in family.structures if not s.is_bad_row and s.ripple is None]
     at = structures[-1].columns.stop if structures else 0
     columns = [family.A[:, :at]]
-    for k, n, waves, tried in ripples(study, residuals):
+    for k, n, words, waves, tried in ripples(study, residuals):
         own = study.columns(waves * TYPICAL_ANGLE)
-        words = f"turning axis {k + 1}, {f'{n:.3g}' if own.shape[1] == 2 else 'many'} times per turn"
         structures.append(Structure((f"joint_{k + 1}",), words, slice(at, at + own.shape[1]), tried, ripple=(k, n)))
         columns.append(own.astype(family.A.dtype))
         at += own.shape[1]

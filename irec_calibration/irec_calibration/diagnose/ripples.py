@@ -19,22 +19,22 @@ from .study import Study
 
 FEWEST, MOST = 3.0, 400.0  # repeats per turn; smooth functions follow fewer, and gears have up to some 320
 FEWEST_IN_SPAN = 1.5  # repeats within the angles of a session
-ROWS_SEARCHED = 2000  # of a larger session: enough to find what is worth a name
+ROWS_SEARCHED = 2000  # of a larger session: enough to find what readings follow
 LEAST = 3e-2  # of the largest: directions in a band of frequencies that angles over less than a turn do not show
 FINER = 21  # frequencies about the strongest one, over two steps
 KEPT = 3  # of each residual, the strongest
 
 
-def ripples(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[int, float, Array, int]]:
-    """The ripples that residuals follow most, one for each joint at most.
+def ripples(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[int, float, str, Array, int]]:
+    """The ripples that residuals follow most: of each residual one per joint, in the joints where most is won.
 
     Args:
         residuals: of the observed rows, (m, 3) each, m.
 
     Yields:
-        joint (counted from 0), repeats per turn, displacement by sine and cosine per rad in all rows of the session, (n, 3, 2),
-        how many frequencies of joints were tried; then, for each joint once, the same for all frequencies of a band together,
-        (n, 3, p), and how many joints there are.
+        joint (counted from 0), repeats per turn, words, displacement by sine and cosine in all rows of the session, (n, 3, 2),
+        m/rad, how many frequencies of joints were tried; then, for each joint once, the same for all frequencies of a band
+        together, (n, 3, p), with the strongest of them, and how many joints there are.
     """
     scene, rows = study.ready, study.observation.rows
     turning = np.flatnonzero(scene.driven & ~scene.kin.is_prismatic)
@@ -54,23 +54,24 @@ def ripples(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[int, flo
                 found[k, n] = power
         best |= dict(sorted(found.items(), key=lambda t: -t[1])[:KEPT])
     for k, n in best:
-        yield k, n, scene.J[:, :, k, None] * _waves(scene.q[:, k], np.array([n]))[:, None], tried
+        waves = _waves(scene.q[:, k], np.array([n]))
+        yield k, n, f"turning axis {k + 1}, {n:.3g} times per turn", scene.J[:, :, k, None] * waves[:, None], tried
     strongest = {k: n for k, n in reversed(best) if n <= LAST}
     for k, n in strongest.items():  # gears and encoders have many at once
         band = _waves(scene.q[:, k], np.arange(FIRST, LAST + 1.0))
         _, size, directions = np.linalg.svd(band, full_matrices=False)
         band = band @ directions[size > LEAST * size[0]].T
-        yield k, n, scene.J[:, :, k, None] * band[:, None], len(turning)
+        yield k, n, f"turning axis {k + 1}, many times per turn", scene.J[:, :, k, None] * band[:, None], len(turning)
 
 
 def _waves(q: Array, frequency: Array) -> Array:
-    """Sines and cosines of angles (n,) at some frequencies (f,), (n, 2f)."""
+    """Sines and cosines of angles (n,), rad, at some frequencies (f,), per turn, (n, 2f)."""
     phase = q[:, None] * frequency
     return np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
 
 
 def _frequencies(q: Array) -> Array:
-    """Repeats per turn that angles (m,) can show, as close as they tell them apart."""
+    """Repeats per turn that angles (m,), rad, can show, as close as they tell them apart."""
     span = float(np.ptp(q)) / (2.0 * np.pi)
     first = max(FEWEST, FEWEST_IN_SPAN / max(span, 1e-9))
     return np.arange(first, MOST, 0.5 / span) if first < 0.5 * MOST else np.zeros(0)
@@ -89,7 +90,8 @@ def _power(q: Array, by_angle: Array, residual: Array, frequency: Array) -> Arra
     """How far the squared residual falls with sine and cosine of each frequency, (f,).
 
     Args:
-        by_angle: displacement by the joint's angle, (m, 3), and residual, (m, 3), in standard deviations.
+        q: angles of the joint, (m,), rad. by_angle: displacement by it, (m, 3), standard deviations per rad. residual: (m, 3),
+            standard deviations. frequency: (f,), per turn.
     """
     along, weight = (by_angle * residual).sum(axis=1), (by_angle**2).sum(axis=1)
     phase = np.exp(1j * frequency[:, None] * q)

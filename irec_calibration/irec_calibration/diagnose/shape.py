@@ -10,7 +10,6 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..effects import Parameter
-from ..effects.scene import Scene
 from ..errors import SolveError
 from ..model import Estimate, Term
 from .candidates import Trial, block_at, block_columns
@@ -33,19 +32,13 @@ def refit(study: Study, trial: Trial) -> Study | None:
         for p in variant.effect.parameters(study.ready)
         if p.name in known
     }
-    terms = tuple(_all_springs(t, study.ready) for t in study.terms) if variant.effect.loads_arm else study.terms
+    terms = study.terms
+    if variant.effect.loads_arm and study.ready.kind == "absolute":  # it shows springs that the weight doesn't
+        terms = tuple(t.whole(t.effect.parameters(study.ready)) if t.effect.elastic else t for t in terms)
     try:
         return study_of(study.observation, (*terms, Term(variant.effect, estimates)))
     except SolveError:
         return None
-
-
-def _all_springs(term: Term, scene: Scene) -> Term:
-    """A term with all springs of its effect, in an absolute session: a force beside the weight shows some that that doesn't."""
-    if scene.kind != "absolute" or not term.effect.elastic or not term.estimates:
-        return term
-    own = term.effect.parameters(scene)
-    return replace(term, estimates={p.name: term.estimates.get(p.name, Estimate(p.start, unit=p.unit)) for p in own})
 
 
 def _refined(study: Study, trial: Trial) -> dict[str, float]:

@@ -64,7 +64,8 @@ def stand_ins(
     if len(built.start.study.bench.poses) < settings.fewest_poses:
         return ()
     current = built.final
-    ripple = _ripple(session, built, after, settings)
+    check()
+    ripple = _ripple(session, built, after, check, settings)
     if ripple is not None:
         out.append(ripple)
     while len(current.added) < settings.most_names:
@@ -77,8 +78,10 @@ def stand_ins(
     return tuple(out)
 
 
-def _ripple(session: Session, built: Built, before: Validated, settings: Settings) -> StandIn | None:
-    """What repeats many times per turn of joints, where what is left shows it and it helps on held-out poses."""
+def _ripple(
+    session: Session, built: Built, before: Validated, check: Callable[[], None], settings: Settings
+) -> StandIn | None:  # fmt: skip
+    """What repeats many times per turn of joints, where what is left shows it, at angles that can be, and it helps."""
     found = [p.structure.ripple for p in built.final.remainder.structures if p.structure.ripple is not None]
     axes = {k for k, often in found if often <= MOST}
     if not axes:
@@ -89,12 +92,13 @@ def _ripple(session: Session, built: Built, before: Validated, settings: Setting
     beside = study_of(before.study.observation, (*before.study.terms, term))
     with_it, without_it = (s.bench.posterior(s.base).log_evidence for s in (beside, before.study))
     odds = float(with_it - without_it) - log(len(FACTORS))
+    check()
     if odds < settings.nats_to_name:
         return None
     made = validated(session, (*before.study.terms, term))
-    mean, se, _ = gain(before.held_out, held_out_beside(before.study, made.study))
-    helps = made.held_out.rms_m < before.held_out.rms_m and mean > settings.held_out_sigmas * se
-    return StandIn(effect.id, odds, made) if helps else None
+    values = {n: (e.value, e.se) for t in made.study.terms if t.effect is effect for n, e in t.estimates.items()}
+    can_be = not effect.why_impossible(values, {}, made.study.ready)
+    return StandIn(effect.id, odds, made) if can_be and _helps(before, made, settings.held_out_sigmas) else None
 
 
 def _best(
@@ -109,12 +113,17 @@ def _best(
         effect_id = one.ids[-1]
         term = next(t for t in prune(one.study, (effect_id,)).study.terms if t.effect.id == effect_id)
         made = validated(session, (*before.study.terms, Term(term.effect, term.estimates)))
-        mean, se, _ = gain(before.held_out, held_out_beside(before.study, made.study))
-        # a fit need not reach what the linear problem promises
-        confirmed = made.study.fit.rms < before.study.fit.rms and made.held_out.rms_m < before.held_out.rms_m
-        if confirmed and np.isfinite(mean) and mean > sigmas * se:
+        if _helps(before, made, sigmas):
             return one, StandIn(effect_id, one.named - current.named, made)
     return None
+
+
+def _helps(before: Validated, made: Validated, sigmas: float) -> bool:
+    """Whether a model is better than the one before, on held-out poses by some standard errors: a fit need not reach what the
+    linear problem promises."""
+    mean, se, _ = gain(before.held_out, held_out_beside(before.study, made.study))
+    confirmed = made.study.fit.rms < before.study.fit.rms and made.held_out.rms_m < before.held_out.rms_m
+    return bool(confirmed and np.isfinite(mean) and mean > sigmas * se)
 
 
 def _least(current: Explanation, one: Explanation, settings: Settings) -> float:

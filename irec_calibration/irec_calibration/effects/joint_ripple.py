@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..typing import Array, IntArray
@@ -37,12 +39,25 @@ class JointRipple(Effect):
             for t in "ab"
         )
 
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
+        k = _turning(scene)
+        theta = np.array([values.get(p.name, (0.0, 0.0))[0] for p in self.parameters(scene)])
+        turned = np.einsum("nkp,kp->nk", _waves(scene), theta.reshape(len(k), -1)) if len(k) else np.zeros((1, 1))
+        largest = float(np.abs(turned).max())
+        if largest <= LARGEST:
+            return ""
+        return f"with it a joint would be {largest:.3g} rad beside its angle in the session; likely is at most {LARGEST:.3g} rad"
+
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        n, k = len(scene), _turning(scene)
-        phase = np.exp(1j * scene.q[:, k, None] * np.arange(FEWEST, MOST + 1))
-        waves = np.stack([phase.imag, phase.real], axis=3)  # (n, axes, orders, 2)
-        columns: Array = scene.J[:, :, k, None, None] * waves[:, None]
-        return columns.reshape(n, 3, waves[0].size)
+        waves = _waves(scene)
+        columns: Array = scene.J[:, :, _turning(scene), None] * waves[:, None]
+        return columns.reshape(len(scene), 3, waves[0].size)
+
+
+def _waves(scene: Scene) -> Array:
+    """Sine and cosine of each order, (n, turning axes, 2 orders)."""
+    angle = scene.q[:, _turning(scene), None] * np.arange(FEWEST, MOST + 1)
+    return np.stack([np.sin(angle), np.cos(angle)], axis=3).reshape(*angle.shape[:2], 2 * angle.shape[2])
 
 
 def _turning(scene: Scene) -> IntArray:

@@ -40,7 +40,7 @@ def completed(terms: Sequence[Term], observation: Observation) -> tuple[Term, ..
     present = {t.effect.id for t in terms}
     registering = [find_effect(e) for e in GEOMETRIC]
     out = [Term(e) for e in registering if e.registers and e.id not in present and e.parameters(observation.scene)] + list(terms)
-    out = [_placing_all(t, observation.scene) if t.effect.registers else t for t in out]
+    out = [t.whole(t.effect.parameters(observation.scene)) if t.effect.registers else t for t in out]
     out = [t for t in out if not t.effect.registers or t.effect.parameters(observation.scene)]
     for i, term in enumerate(out):
         if term.effect.chosen_by_poses and not term.estimates:
@@ -48,14 +48,6 @@ def completed(terms: Sequence[Term], observation: Observation) -> tuple[Term, ..
             kept = determined_geometry(tuple(out), i, observation)
             out[i] = replace(term, estimates={n: Estimate(0.0, unit=own[n].unit) for n in own if n in kept})
     return tuple(t for t in out if not t.effect.chosen_by_poses or t.estimates)
-
-
-def _placing_all(term: Term, scene: Scene) -> Term:
-    """A registering term with all its parameters, those that it did not name at their start; as it is where it names none."""
-    if not term.estimates:
-        return term
-    own = term.effect.parameters(scene)
-    return replace(term, estimates={p.name: term.estimates.get(p.name, Estimate(p.start, unit=p.unit)) for p in own})
 
 
 def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observation) -> set[str]:

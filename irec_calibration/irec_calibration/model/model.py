@@ -71,6 +71,13 @@ class Term:
         """Values in the order of `parameters`; the start value where the model does not name one, (p,)."""
         return np.array([self.estimates[p.name].value if p.name in self.estimates else p.start for p in parameters])
 
+    def whole(self, parameters: Iterable[Parameter]) -> Term:
+        """The same with all parameters, those that it does not name at their start; as it is where it names none (all then)."""
+        if not self.estimates:
+            return self
+        named = {p.name: self.estimates.get(p.name, Estimate(p.start, unit=p.unit)) for p in parameters}
+        return replace(self, estimates=named)
+
     def free(self, parameters: Sequence[Parameter]) -> list[int]:
         """Indices of the parameters that a fit may change: those that the term names (all where it names none), without a
         grid."""

@@ -107,6 +107,12 @@ def test_a_formula_for_it_is_proposed(rippled) -> None:
     assert rippled.before.proposals[0].formula == "axis 3: a * cos(11 * q_3) + b * sin(11 * q_3)"
 
 
+def test_a_ripple_that_turns_a_joint_further_than_gears_and_encoders_do_can_not_be() -> None:
+    scene, effect = scene_of(session(poses=20)), find_effect("joint_ripple")
+    assert not effect.why_impossible({"a11_3": (3e-4, 1e-5), "b12_3": (3e-4, 1e-5)}, {}, scene)
+    assert "at most 0.0015 rad" in effect.why_impossible({"a11_3": (3e-3, 1e-5)}, {}, scene)
+
+
 def test_where_nothing_ripples_nothing_is_said_of_it() -> None:
     found = improve(session(poses=120, noise=NOISE, moved=SOFT))
     assert "per turn" not in found.before.verdict.text

@@ -7,8 +7,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from irec_calibration.diagnose import standing
+from irec_calibration.diagnose import build, standing
+from irec_calibration.diagnose.rivals import Rivals
 from irec_calibration.diagnose.settings import SETTINGS
+from irec_calibration.effects import find_effect
 
 
 @pytest.mark.parametrize(
@@ -25,6 +27,36 @@ def test_a_name_explains_no_less_than_what_stays_without_one_in_a_loaded_session
     one: Any = SimpleNamespace(named=100.0 + own, study=study, remainder=rest, added=())
     bare: Any = {"joint_coupling": SimpleNamespace(named=100.0)}
     assert standing.outweighed(one, bare, "joint_coupling") == outweighed
+
+
+@pytest.mark.parametrize(("effect_id", "feigned"), [("base_compliance", 50.0), ("link_bending", 0.0), ("joint_torsion", 0.0)])
+def test_what_has_no_name_may_feign_a_base_and_no_gears_or_links(
+    monkeypatch: pytest.MonkeyPatch, effect_id: str, feigned: float
+) -> None:
+    monkeypatch.setattr(standing, "needed", lambda *_: 6.5)
+    monkeypatch.setattr(standing, "everywhere", lambda *_: True)  # as all three are in an absolute session
+    monkeypatch.setattr(standing, "shown_by_readings", lambda *_: 0.0)
+    one: Any = SimpleNamespace(term=lambda i: SimpleNamespace(effect=find_effect(i)))
+    assert standing._least(one, effect_id, {effect_id: 50.0}, SETTINGS) == 6.5 + feigned
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_what_is_likelier_in_a_names_place_takes_it_only_where_it_stands_too(
+    monkeypatch: pytest.MonkeyPatch, stands: bool
+) -> None:
+    links, base, none = (SimpleNamespace(ids=i) for i in (("link_bending",), ("base_compliance",), ()))
+    rival = Rivals({"link_bending": (("base_compliance", -17.9),)}, ((base, none),))
+    monkeypatch.setattr(build, "rivals_of", lambda start, one, *_: rival if one is links else Rivals())
+    monkeypatch.setattr(build, "refused", lambda *_: ("", 16.0))
+    monkeypatch.setattr(build, "all_stand", lambda *_: {"base_compliance": 16.0} if stands else {})
+    monkeypatch.setattr(build, "odds_of", lambda *_: 16.0)
+    way: Any = SimpleNamespace(
+        start=none, family=None, settings=SETTINGS, steps=[none, links], near={}, found=(), check=None,
+        evidence={"link_bending": 14.6},
+    )  # fmt: skip
+    found = build._Way.rivals(way, ())
+    assert way.steps[-1] is (base if stands else links)
+    assert found.of == ({} if stands else rival.of)
 
 
 @pytest.mark.parametrize(("of_settling", "outweighed"), [(500.0, False), (30.0, True)])
