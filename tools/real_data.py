@@ -121,6 +121,8 @@ def run(name: str, one: Set, folder: Path, ladder_only: bool) -> None:
         for rung in told.rungs:
             what = f"irec improve: {rung.title if rung.added else 'start'}"
             print(f"  {what:34} {1e3 * float(rung.model.figures['cv_mean_m']):8.4f}   rms {1e3 * rung.cv_rms_m:.4f}")
+        means.append(1e3 * float(told.rungs[-1].model.figures["cv_mean_m"]))
+        labels.append("irec improve")
         print(f"  stopped: {told.stopped}")
         print(f"  verdict: {told.before.verdict.status}. {told.before.verdict.text}")
     pairs = near_pairs(whole, fit(base_terms(), whole).residual)

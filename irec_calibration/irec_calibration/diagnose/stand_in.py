@@ -81,24 +81,31 @@ def stand_ins(
 def _ripple(
     session: Session, built: Built, before: Validated, check: Callable[[], None], settings: Settings
 ) -> StandIn | None:  # fmt: skip
-    """What repeats many times per turn of joints, where what is left shows it, at angles that can be, and it helps."""
+    """What repeats many times per turn of joints, where what is left shows it and it helps.
+
+    Its lower orders pass for wrong links where a joint was measured at few angles; a joint that it would turn too far has none.
+    """
     found = [p.structure.ripple for p in built.final.remainder.structures if p.structure.ripple is not None]
     axes = {k for k, often in found if often <= MOST}
-    if not axes:
-        return None
-    effect = find_effect(JointRipple.id)
-    own = [p for p in effect.parameters(built.start.study.ready) if p.axis in axes]
-    term = Term(effect, {p.name: Estimate(0.0, unit=p.unit) for p in own})
-    beside = study_of(before.study.observation, (*before.study.terms, term))
-    with_it, without_it = (s.bench.posterior(s.base).log_evidence for s in (beside, before.study))
-    odds = float(with_it - without_it) - log(len(FACTORS))
-    check()
-    if odds < settings.nats_to_name:
-        return None
-    made = validated(session, (*before.study.terms, term))
-    values = {n: (e.value, e.se) for t in made.study.terms if t.effect is effect for n, e in t.estimates.items()}
-    can_be = not effect.why_impossible(values, {}, made.study.ready)
-    return StandIn(effect.id, odds, made) if can_be and _helps(before, made, settings.held_out_sigmas) else None
+    effect, scene = JointRipple(), built.start.study.ready
+    while axes:
+        check()
+        own = {p.name: Estimate(0.0, unit=p.unit) for p in effect.parameters(scene) if p.axis in axes}
+        terms = (*before.study.terms, Term(effect, own))
+        beside = study_of(before.study.observation, terms)
+        with_it, without_it = (s.bench.posterior(s.base).log_evidence for s in (beside, before.study))
+        odds = float(with_it - without_it) - log(len(FACTORS))
+        if odds < settings.nats_to_name:
+            return None
+        check()
+        made = validated(session, terms)
+        there = made.study.ready
+        theta = next(t for t in made.study.terms if t.effect is effect).theta(effect.parameters(there))
+        too_far = effect.too_far(there, theta)
+        if not too_far:
+            return StandIn(effect.id, odds, made) if _helps(before, made, settings.held_out_sigmas) else None
+        axes -= too_far
+    return None
 
 
 def _best(

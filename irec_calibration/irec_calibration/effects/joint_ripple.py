@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from ..typing import Array, IntArray
@@ -39,14 +37,11 @@ class JointRipple(Effect):
             for t in "ab"
         )
 
-    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
+    def too_far(self, scene: Scene, theta: Array) -> set[int]:
+        """Joints, counted from 0, that it would turn by more than gears and encoders do, somewhere in the rows of a scene."""
         k = _turning(scene)
-        theta = np.array([values.get(p.name, (0.0, 0.0))[0] for p in self.parameters(scene)])
-        turned = np.einsum("nkp,kp->nk", _waves(scene), theta.reshape(len(k), -1)) if len(k) else np.zeros((1, 1))
-        largest = float(np.abs(turned).max())
-        if largest <= LARGEST:
-            return ""
-        return f"with it a joint would be {largest:.3g} rad beside its angle in the session; likely is at most {LARGEST:.3g} rad"
+        angle = np.einsum("nkp,kp->nk", _waves(scene), theta.reshape(len(k), -1))  # rad
+        return set(k[np.abs(angle).max(axis=0) > LARGEST].tolist())
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         waves = _waves(scene)

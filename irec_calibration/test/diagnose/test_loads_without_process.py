@@ -109,8 +109,13 @@ def test_a_formula_for_it_is_proposed(rippled) -> None:
 
 def test_a_ripple_that_turns_a_joint_further_than_gears_and_encoders_do_can_not_be() -> None:
     scene, effect = scene_of(session(poses=20)), find_effect("joint_ripple")
-    assert not effect.why_impossible({"a11_3": (3e-4, 1e-5), "b12_3": (3e-4, 1e-5)}, {}, scene)
-    assert "at most 0.0015 rad" in effect.why_impossible({"a11_3": (3e-3, 1e-5)}, {}, scene)
+    names = [p.name for p in effect.parameters(scene)]
+
+    def too_far(**values: float) -> set[int]:
+        return effect.too_far(scene, np.array([values.get(n, 0.0) for n in names]))
+
+    assert too_far(a11_3=3e-4, b12_3=3e-4) == set()
+    assert too_far(a11_3=3e-3, b12_4=3e-4) == {2}
 
 
 def test_where_nothing_ripples_nothing_is_said_of_it() -> None:
