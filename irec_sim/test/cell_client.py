@@ -34,6 +34,7 @@ STREAMS = {
     "robot/state": RobotState,
     "/clock": Clock,
 }
+HEARD = (*STREAMS, "robot_description")
 FOLLOWING = 0.05  # s of simulated time between two words to the cell
 PATIENCE = 90.0  # s of the machine's clock
 
@@ -95,7 +96,7 @@ class Client:
             self.force.publish(message)
 
     def wait_for_cell(self) -> None:
-        ready = (self.move.server_is_ready, self.mode.service_is_ready, lambda: all(self.got[topic] for topic in STREAMS))
+        ready = (self.move.server_is_ready, self.mode.service_is_ready, lambda: all(self.got[topic] for topic in HEARD))
         self.wait(lambda: all(condition() for condition in ready), "complete cell")
 
     @property
