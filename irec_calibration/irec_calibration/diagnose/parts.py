@@ -17,11 +17,13 @@ import numpy as np
 from ..effects import Family as Alike
 from ..effects import known_effects
 from ..errors import SolveError
+from ..identification.validation import gain
 from ..model import Term
 from ..typing import Json
 from .candidates import SMALLEST_COLUMN, block_columns
 from .evidence import Block, Ground
 from .family import Family
+from .held_out import held_out
 from .part_sets import Names, Parts, PartSets
 from .priors import FACTORS
 from .remainder import grow
@@ -66,7 +68,8 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
             continue
         try:
             rest = without_columns(study, effect_id)
-            sets = PartSets(rest, term.effect, {n: e.value for n, e in term.estimates.items()}, beside)
+            fitted = {n: e.value for n, e in term.estimates.items()}
+            sets = PartSets(rest, term.effect, fitted, beside)
             if len(sets.names) < 2:
                 known[effect_id] = Parts(proven=present)
                 continue
@@ -80,6 +83,8 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
                 known[effect_id] = replace(said, perhaps=tuple(n for n in present if n not in said.proven), one_of=())
                 continue
             used = sets.in_use(names)
+            if beside is not None and beside.A.shape[1]:
+                used = _better(study, sets, used, PartSets(rest, term.effect, fitted, None))
             known[effect_id] = _with_more(known[effect_id], sets, used)
             if used != present:
                 study = _with(study, sets.term(used))
@@ -89,6 +94,20 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
         except SolveError:
             known[effect_id] = Parts(perhaps=present)
     return Pruned(study, known, other)
+
+
+def _better(study: Study, sets: PartSets, used: Names, alone: PartSets) -> Names:
+    """The parts that a model is used with: also those that only a remainder made needless, where held-out poses ask for them.
+
+    A remainder describes; without a name it predicts nothing, and what it takes from a named effect the model would lack.
+    """
+    also, _ = alone.best(alone.cut_down(alone.names))
+    more = sets.ordered((*used, *also))
+    if more == used:
+        return used
+    fewer, whole = (_with(study, sets.term(n) if n == used else alone.term(n)) for n in (used, more))
+    mean, se, _ = gain(held_out(fewer), held_out(whole))
+    return more if mean > SETTINGS.held_out_sigmas * se else used
 
 
 def _with_more(parts: Parts, sets: PartSets, used: Names) -> Parts:

@@ -219,6 +219,10 @@ class Settings(Thresholds):
         0.02, "share of squares", "of what the effect explains that a part must bring to be named",
         "a smaller part may make up for an effect's form that is not quite right",
     )  # fmt: skip
+    times_to_outweigh: float = threshold(
+        3.0, "times the evidence needed", "evidence of a name that larger structure without a name does not outweigh",
+        "beside larger structure without a name right names had 2.1 and 4 to 9 times what they need, a wrong one 2.1",
+    )  # fmt: skip
     weigh_again_below: float = threshold(
         0.7, "of the noise assumed", "noise that is left below which everything is weighed again",
         "evidence goes with the square: twice as much at 0.7",

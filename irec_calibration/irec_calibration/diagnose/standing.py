@@ -65,7 +65,7 @@ def standing(start: Explanation, one: Explanation, family: Family, settings: Set
         weak = _weak(start, one, bare, evidence, settings)
         if not weak:
             most = min(most, one.remainder.without_a_name)
-            weak = [i for i in one.ids if outweighed(one, bare, i, most)]
+            weak = [i for i in one.ids if outweighed(one, bare, evidence, i, settings, most)]
         else:
             most = np.inf
         weak = weak or [i for i in one.ids if against(one.study, one.term(i))]  # where others' names have moved its values
@@ -86,7 +86,7 @@ def all_stand(start: Explanation, one: Explanation, family: Family, settings: Se
         if evidence[i] < _least(one, i, left, settings):
             return {}
     weak = _weak(start, one, bare, evidence, settings)
-    fall = weak or any(outweighed(one, bare, i) or against(one.study, one.term(i)) for i in one.ids)
+    fall = weak or any(outweighed(one, bare, evidence, i, settings) or against(one.study, one.term(i)) for i in one.ids)
     return {} if fall else evidence
 
 
@@ -105,15 +105,23 @@ def _weak(
     return [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
 
 
-def outweighed(one: Explanation, bare: dict[str, Explanation], effect_id: str, most: float = np.inf) -> bool:
-    """Whether what stays without a name in a loaded session explains more than a name does: that is as likely a piece of it.
+def outweighed(
+    one: Explanation, bare: dict[str, Explanation], evidence: dict[str, float], effect_id: str, settings: Settings,
+    most: float = np.inf,
+) -> bool:  # fmt: skip
+    """Whether what stays without a name in a loaded session explains more than a name does: that is as likely a piece of it,
+    unless its evidence is several times what what stays could feign.
 
     What has the form of another name that explains more than it does is that one's, whose form is not quite right. An absolute
     session starts without springs, and real robots leave structure that has nothing to do with them.
 
     Args:
-        bare: the model without each of its names; most: evidence of what has no name, at most.
+        bare: the model without each of its names; evidence: of each over structures in its place; most: evidence of what has no
+            name, at most.
     """
+    least = _least(one, effect_id, feigned(one, settings), settings)
+    if evidence[effect_id] >= settings.times_to_outweigh * least:
+        return False
     if one.study.ready.kind != "loaded" or in_one_pose(one, effect_id) or shown_by_readings(one, effect_id):
         return False
     own = {i: one.named - b.named for i, b in bare.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..effects import Evidence
+from ..effects import Axes, Evidence
 from .candidates import Option, Trial, try_option
 from .evidence import Block, Ground
 from .explanation import Explanation, explain, reshaped_again
@@ -32,7 +32,8 @@ def two_together(
     """Two effects that stand together where neither stands alone; None where there are none.
 
     What two large causes leave has structure that the generic family describes better than either with a remainder. Asked only
-    where much is unexplained; each then has to hold against any structure in its place, with the other present.
+    where much is unexplained; each then has to hold against any structure in its place, with the other present. A hose that
+    outweighs the payload hides the springs, and without springs it moves nothing: these two are tried whatever springs alone say.
 
     Returns:
         the model with both, and the evidence of the names in it.
@@ -41,15 +42,23 @@ def two_together(
         return None
     trials = tried_on(current, found) if trials is None else trials
     pairs: list[Explanation] = []  # one may be there twice, with other shapes: each was found beside the one taken first
-    for trial in trials[: settings.refits]:
+    by_springs = [o for o in found if o.effect.id not in current.ids and not o.on(current.study).tables]
+    for i, trial in enumerate(trials):
+        springs = bool(by_springs) and trial.effect.compliance_of is Axes.ACTUATED
+        if i >= settings.refits and not springs:
+            continue
         check()
         one = explain(start, current, trial, family)
-        if one is None or one.named - current.named < settings.nats_for_two:
+        if one is None:
             continue
-        for two in step(start, one, found, family, None, check, settings)[: settings.refits]:
-            if refused(start, one, two, family, settings)[0]:
-                continue
-            pairs.append(reshaped_again(start, two, family))
+        if one.named - current.named >= settings.nats_for_two:
+            seconds = step(start, one, found, family, None, check, settings)[: settings.refits]
+        elif springs:  # they are as stiff as gravity alone has them, so that only the exact fit shows what loads them
+            fitted = (explain(start, one, t, family) for t in tried_on(one, by_springs))
+            seconds = [two for two in fitted if two is not None]
+        else:
+            continue
+        pairs += [reshaped_again(start, two, family) for two in seconds if not refused(start, one, two, family, settings)[0]]
     for both in sorted(pairs, key=lambda e: -e.log_evidence):
         check()
         evidence = all_stand(start, both, family, settings)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..robot.ratings import rated_torque
@@ -21,6 +23,8 @@ ARRIVED = (-0.5, 0.0, 0.5)
 TURNS = 0.01  # rad of travel after which friction points against it
 SHAPE = 4  # parameters that enter nonlinearly, the last ones
 SLIDERS = ("h", "early", "late")  # of each axis, with thresholds r, r / APART, r APART
+# of the deflection, RMS, and axes: seals and teeth of healthy gears hold back 0.5 to 1.5 % of it, in all of them
+USUAL_FRICTION, USUAL_AXES = 0.02, 3
 
 
 class JointHysteresis(Effect):
@@ -64,6 +68,10 @@ class JointHysteresis(Effect):
             Parameter("freed", "1/rad", 100.0, 0.0, 1e4, start=0.0, grid=FREED),
             Parameter("arrived", "1", 1.0, -1.0, 1.0, start=0.0, grid=ARRIVED),
         )
+
+    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+        axes = {n.split("_")[1] for n, v in values.items() if n.split("_")[0] in SLIDERS and v != 0.0}
+        return share <= USUAL_FRICTION and len(axes) >= USUAL_AXES
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         if scene.kind == "absolute":

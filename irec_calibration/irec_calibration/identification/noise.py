@@ -23,12 +23,22 @@ def position_sigma(session: Session) -> Array:
     of their own and add in squares.
     """
     noise = session.noise
-    distance = np.linalg.norm(np.nan_to_num(session.p_marker_in_station), axis=1)
-    variance = (noise.tracker_m + noise.tracker_m_per_m * distance) ** 2 + noise.settling_m**2
+    variance = _instrument_variance(session)
     if session.kind == "absolute":
         reach = np.linalg.norm(session.p_tcp_in_base, axis=1)
         variance = variance + noise.robot_m**2 + (noise.robot_rad * reach) ** 2
     return np.sqrt(np.maximum(variance, SMALLEST_SIGMA_M**2))
+
+
+def instrument_sigma(session: Session) -> Array:
+    """The part of it that is the tracker's and that of settling, which a marker on the base has too, (n,), m."""
+    return np.asarray(np.sqrt(np.maximum(_instrument_variance(session), SMALLEST_SIGMA_M**2)))
+
+
+def _instrument_variance(session: Session) -> Array:
+    noise = session.noise
+    distance = np.linalg.norm(np.nan_to_num(session.p_marker_in_station), axis=1)
+    return np.asarray((noise.tracker_m + noise.tracker_m_per_m * distance) ** 2 + noise.settling_m**2)
 
 
 @dataclass(frozen=True)

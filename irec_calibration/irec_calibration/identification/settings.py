@@ -56,6 +56,10 @@ class AbsoluteThresholds(Thresholds):
     fewest_of_marker: int = threshold(
         20, "rows", "fewer do not tell how well a marker fits", "a level from 20: within 20 %"
     )
+    least_of_instrument: float = threshold(
+        0.5, "of what the session states", "smallest noise of tracker and settling that a marker is taken to have",
+        "the stated noise is known within a factor of two",
+    )  # fmt: skip
     least_left: float = threshold(
         0.1, "share of the noise's variance", "that a fit is taken to leave at least, where the residual tells the noise",
         "a fit that takes up more tells nothing",

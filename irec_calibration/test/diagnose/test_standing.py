@@ -13,12 +13,26 @@ from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.effects import find_effect
 
 
+@pytest.fixture
+def needs_six_and_a_half(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of each name, beside what others could feign."""
+    monkeypatch.setattr(standing, "feigned", lambda *_: {})
+    monkeypatch.setattr(standing, "_least", lambda *_: 6.5)
+
+
+@pytest.mark.usefixtures("needs_six_and_a_half")
 @pytest.mark.parametrize(
-    ("kind", "own", "left", "outweighed"),
-    [("loaded", 30.0, 40.0, True), ("loaded", 50.0, 40.0, False), ("loaded", 7.0, 0.0, False), ("absolute", 30.0, 40.0, False)],
+    ("kind", "own", "left", "evidence", "outweighed"),
+    [
+        ("loaded", 30.0, 40.0, 10.0, True),
+        ("loaded", 50.0, 40.0, 10.0, False),
+        ("loaded", 7.0, 0.0, 7.0, False),
+        ("absolute", 30.0, 40.0, 10.0, False),
+        ("loaded", 30.0, 40.0, 3.1 * 6.5, False),  # told apart from every structure by several times what it needs
+    ],
 )
 def test_a_name_explains_no_less_than_what_stays_without_one_in_a_loaded_session(
-    monkeypatch: pytest.MonkeyPatch, kind: str, own: float, left: float, outweighed: bool
+    monkeypatch: pytest.MonkeyPatch, kind: str, own: float, left: float, evidence: float, outweighed: bool
 ) -> None:
     monkeypatch.setattr(standing, "in_one_pose", lambda *_: False)
     monkeypatch.setattr(standing, "shown_by_readings", lambda *_: 0.0)
@@ -26,7 +40,7 @@ def test_a_name_explains_no_less_than_what_stays_without_one_in_a_loaded_session
     study = SimpleNamespace(ready=SimpleNamespace(kind=kind))
     one: Any = SimpleNamespace(named=100.0 + own, study=study, remainder=rest, added=())
     bare: Any = {"joint_coupling": SimpleNamespace(named=100.0)}
-    assert standing.outweighed(one, bare, "joint_coupling") == outweighed
+    assert standing.outweighed(one, bare, {"joint_coupling": evidence}, "joint_coupling", SETTINGS) == outweighed
 
 
 @pytest.mark.parametrize(("effect_id", "feigned"), [("base_compliance", 50.0), ("link_bending", 0.0), ("joint_torsion", 0.0)])
@@ -59,6 +73,7 @@ def test_what_is_likelier_in_a_names_place_takes_it_only_where_it_stands_too(
     assert found.of == ({} if stands else rival.of)
 
 
+@pytest.mark.usefixtures("needs_six_and_a_half")
 @pytest.mark.parametrize(("of_settling", "outweighed"), [(500.0, False), (30.0, True)])
 def test_what_has_the_form_of_a_larger_name_is_that_ones_and_outweighs_no_other(
     monkeypatch: pytest.MonkeyPatch, of_settling: float, outweighed: bool
@@ -72,9 +87,10 @@ def test_what_has_the_form_of_a_larger_name_is_that_ones_and_outweighs_no_other(
     study = SimpleNamespace(ready=SimpleNamespace(kind="loaded"))
     one: Any = SimpleNamespace(named=1000.0, study=study, remainder=rest, added=added)
     bare: Any = {"joint_settling": SimpleNamespace(named=1000.0 - of_settling), "joint_backlash": SimpleNamespace(named=965.0)}
-    assert standing.outweighed(one, bare, "joint_backlash") == outweighed
+    assert standing.outweighed(one, bare, {"joint_backlash": 10.0}, "joint_backlash", SETTINGS) == outweighed
 
 
+@pytest.mark.usefixtures("needs_six_and_a_half")
 @pytest.mark.parametrize(("weakest", "kept"), [("outweighed", ("sensor_alignment",)), ("too weak", ())])
 def test_what_an_outweighed_name_explained_is_no_unknown_cause_beside_the_others(
     monkeypatch: pytest.MonkeyPatch, weakest: str, kept: tuple[str, ...]
@@ -94,7 +110,7 @@ def test_what_an_outweighed_name_explained_is_no_unknown_cause_beside_the_others
     less = {(both.ids, "thermal_drift"): turned, (both.ids, "sensor_alignment"): drift}
     weak = ["thermal_drift"] if weakest == "too weak" else []
     monkeypatch.setattr(standing, "without", lambda start, one, i, family: less.get((one.ids, i), none))
-    monkeypatch.setattr(standing, "odds_of", lambda start, one, bare, i, *_: 10.0 if i == "thermal_drift" else 30.0)
+    monkeypatch.setattr(standing, "odds_of", lambda start, one, bare, i, *_: 10.0 if i == "thermal_drift" else 15.0)
     monkeypatch.setattr(standing, "_weak", lambda start, one, *_: [i for i in weak if i in one.ids])
     monkeypatch.setattr(standing, "in_one_pose", lambda *_: False)
     monkeypatch.setattr(standing, "shown_by_readings", lambda *_: 0.0)

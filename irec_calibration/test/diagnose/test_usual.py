@@ -60,6 +60,12 @@ def test_lost_motion_of_a_third_of_an_arc_minute_in_several_gears_is_usual(play,
     assert find_effect("joint_backlash").is_usual(values, 0.03) == usual
 
 
+@pytest.mark.parametrize(("share", "axes", "usual"), [(0.015, 4, True), (0.03, 4, False), (0.015, 2, False)])
+def test_friction_of_a_hundredth_of_the_deflection_in_several_gears_is_usual(share, axes, usual) -> None:
+    values = {f"h_{k + 1}": 2e-9 for k in range(axes)} | {"late_6": 0.0, "r": 0.03, "freed": 100.0}
+    assert find_effect("joint_hysteresis").is_usual(values, share) == usual
+
+
 def test_what_no_sound_robot_has_is_not_usual_whatever_its_size() -> None:
     assert not find_effect("joint_backlash").is_usual({"b_1": 1e-9}, 1e-9)
 
