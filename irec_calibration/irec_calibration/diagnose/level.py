@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ..identification.absolute import near_pairs
-from ..identification.marker_noise import by_marker
+from ..identification.marker_noise import at_level, by_marker
 from ..identification.noise import InferredNoise, level_of, pure_error
 from ..identification.observe import Observation
 from ..model import Term
@@ -53,7 +53,7 @@ def with_inferred_level(
     first, remainder = _beside_wander(study_of(observation, terms), settings)
     level = level_beside(first, remainder, settings)
     found = first.observation
-    study = study_of(replace(found, whiten=found.whiten.scaled(level)), first.terms)
+    study = study_of(at_level(found, level), first.terms)
     return study, remainder.bad_rows, accidents(first, remainder, settings)
 
 
@@ -155,9 +155,9 @@ def noise_left(study: Study, remainder: Remainder, family: Family, settings: Set
         again_whiten = again.whiten
         squared = (again_whiten(residual) ** 2).sum()
         dof = max(residual.size - Ground(study.bench, beside.block).fitted, 1.0)
-        return replace(again, whiten=again_whiten.scaled(float(np.sqrt(squared / dof))))
+        return at_level(again, float(np.sqrt(squared / dof)))
     lower = level_beside(study, remainder, settings)
-    return replace(observation, whiten=whiten.scaled(lower)) if lower < settings.weigh_again_below else None
+    return at_level(observation, lower) if lower < settings.weigh_again_below else None
 
 
 def left_beside(study: Study, remainder: Remainder) -> Array:

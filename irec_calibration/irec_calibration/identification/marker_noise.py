@@ -16,7 +16,6 @@ from .noise import instrument_sigma
 from .observe import Observation
 from .settings import ABSOLUTE
 
-ROUNDS = 3
 NOTE = "residual by marker, um per coordinate: "
 
 
@@ -24,9 +23,7 @@ def by_marker(observation: Observation, residual: Array, taken_up: Array | None 
     """The observation with the rows of each marker weighted by how well it fits, and with what the markers of a pose share.
 
     Markers on the base see the tracker's noise, those on the tool also whatever the model of the robot lacks, which all markers
-    of a pose have in common. Only the pattern is taken from the residual; the overall level stays what the session states. No
-    marker is better known than the instrument could see it: a marker on the base, which a few structures fit, would outweigh
-    all else.
+    of a pose have in common. Only the pattern is taken from the residual; the overall level stays what the session states.
 
     Args:
         residual: of a fit, (m, 3), m.
@@ -56,18 +53,28 @@ def by_marker(observation: Observation, residual: Array, taken_up: Array | None 
             left = _left(apart.mean(taken_up)[several], apart.variance_of_mean(w.sigma)[several] + reference)
         shared = float(np.sqrt(max((_spread(mean[several]) / left) ** 2 - float(np.median(by_chance)), 0.0)))
     reference = np.where(apart.together, shared, 0.0)
-    least = ABSOLUTE.least_of_instrument * instrument_sigma(session)[observation.rows]
     level = w.floor / np.sqrt(3.0 * np.mean(own**2 + reference**2))
-    for _ in range(ROUNDS):  # what the floor of some rows takes, the others give, so that the overall level stays
-        sigma = np.maximum(level * own, least)
-        level *= w.floor / np.sqrt(3.0 * np.mean(sigma**2 + (level * reference) ** 2))
     group = np.where(apart.together, apart.pose, len(several) + np.arange(len(apart.pose)))
-    changed = replace(w, sigma=np.maximum(level * own, least), sigma_reference=level * reference, group=group, wander=None)
+    changed = replace(w, sigma=level * own, sigma_reference=level * reference, group=group, wander=None)
     words = ", ".join(f"{n} {1e6 * v:.0f}" for n, v in sizes.items())
     common = f"; what the markers of a pose share: {1e6 * shared:.0f} um" if several.any() else ""
     kept = tuple(n for n in session.notes if not n.startswith(NOTE))
     plain = replace(observation, whiten=changed, session=replace(session, notes=kept))
     return noted(plain, f"{NOTE}{words}{common}; rows are weighted by these")
+
+
+def at_level(observation: Observation, factor: float) -> Observation:
+    """The observation with all noise larger by a factor, in an absolute session of several markers no smaller than the instrument's.
+
+    Where the arm sags by a hundred times the noise, how well markers on the base fit beside it tells nothing, and what was told then
+    is too little by far when springs have taken the sag: a few structures that fit them would outweigh all else.
+    """
+    whiten = observation.whiten.scaled(factor)
+    session = observation.session
+    if session.kind == "loaded" or len(np.unique(session.marker[observation.rows])) < 2:
+        return replace(observation, whiten=whiten)
+    least = ABSOLUTE.least_of_instrument * instrument_sigma(session)[observation.rows]
+    return replace(observation, whiten=replace(whiten, sigma=np.maximum(whiten.sigma, least)))
 
 
 @dataclass(frozen=True)

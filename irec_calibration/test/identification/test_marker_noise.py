@@ -6,10 +6,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from absolute_sessions import session, torsion
 from irec_calibration.diagnose.held_out import validated
 from irec_calibration.identification.identify import default_terms
-from irec_calibration.identification.marker_noise import by_marker
+from irec_calibration.identification.marker_noise import at_level, by_marker
 from irec_calibration.identification.observe import Observation, observe
 from irec_calibration.session import Marker, Noise
 
@@ -47,6 +48,18 @@ def test_noise_is_shared_out_as_it_is() -> None:
     plain = observe(session(poses=400, markers=MARKERS))
     found = [sizes(by_marker(plain, drawn(plain, seed))) for seed in range(10)]
     np.testing.assert_allclose(np.mean(found, axis=0), TRUE, rtol=0.05)
+
+
+def test_no_marker_is_better_known_than_half_of_what_its_instrument_is_stated_to_see() -> None:
+    """A marker on the base that a model fits to a micrometre, beside markers on the tool that it misses by a millimetre."""
+    plain = observe(session(poses=40, markers=MARKERS, noise=Noise(tracker_m=2e-5, robot_m=1e-4)))
+    marker = plain.session.marker[plain.rows]
+    residual = np.where(marker < 2, 1e-3, 1e-6)[:, None] * np.random.default_rng(3).standard_normal((len(marker), 3))
+    shared_out = by_marker(plain, residual)
+    found = at_level(shared_out, 2.0).whiten
+    assert found.sigma[marker == 2].min() == pytest.approx(1e-5)
+    np.testing.assert_allclose(found.sigma[marker < 2], 2.0 * shared_out.whiten.sigma[marker < 2])
+    assert found.level == 2.0
 
 
 def test_what_a_fit_takes_up_of_the_noise_is_added_again() -> None:

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is tried on top of a model at one step: a hose with the springs that it loads, and what ripples could feign."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from irec_calibration.diagnose import form_errors, tries
+from irec_calibration.diagnose.settings import SETTINGS
+from irec_calibration.effects import find_effect
+
+
+def trial(effect_id: str) -> Any:
+    return SimpleNamespace(effect=find_effect(effect_id), log_evidence=-5.0)
+
+
+def model(ids: tuple[str, ...], named: float) -> Any:
+    return SimpleNamespace(ids=ids, named=named, log_evidence=named, study=None, remainder=SimpleNamespace(without_a_name=300.0))
+
+
+@pytest.mark.parametrize(("hose_without_springs", "both"), [(True, True), (False, False)])
+def test_a_hose_and_the_springs_that_it_loads_are_tried_together_although_neither_shows_alone(
+    monkeypatch: pytest.MonkeyPatch, hose_without_springs: bool, both: bool
+) -> None:
+    """Springs lose 5 alone and the hose moves nothing; together they explain 340. What is no spring is not tried so."""
+    none = model((), 0.0)
+    worth = {("joint_torsion",): -5.0, ("counterbalance",): 3.0, ("joint_torsion", "external_force"): 340.0}
+
+    def explained(start: Any, current: Any, t: Any, family: Any) -> Any:
+        ids = (*current.ids, t.effect.id)
+        return model(ids, worth[ids])
+
+    hose = SimpleNamespace(effect=find_effect("external_force"))
+    hose.on = lambda study: SimpleNamespace(tables=() if hose_without_springs else ("table",))
+    monkeypatch.setattr(tries, "explain", explained)
+    monkeypatch.setattr(tries, "tried_on", lambda current, found: [trial(o.effect.id) for o in found])
+    monkeypatch.setattr(tries, "refused", lambda *_: ("", 100.0))
+    monkeypatch.setattr(tries, "reshaped_again", lambda start, two, family: two)
+    monkeypatch.setattr(tries, "all_stand", lambda start, one, *_: dict.fromkeys(one.ids, 100.0))
+    trials = [trial("counterbalance"), trial("joint_torsion")]
+    family: Any = None
+    found: Any = (hose,)
+    made = tries.two_together(none, none, trials, found, family, lambda: None, SETTINGS)
+    assert (made is not None and made[0].ids == ("joint_torsion", "external_force")) == both
+
+
+@pytest.mark.parametrize(("ripple", "feigned"), [(None, 0.05 * 200.0), ((2, 40.0), 0.0)])
+def test_what_repeats_many_times_per_turn_feigns_nothing_that_it_does_not_move_like(
+    monkeypatch: pytest.MonkeyPatch, ripple: tuple[int, float] | None, feigned: float
+) -> None:
+    structure = SimpleNamespace(columns=slice(0, 1), is_bad_row=False, ripple=ripple)
+    part = SimpleNamespace(structure=structure, log_evidence=200.0)
+    base = SimpleNamespace(A=np.array([[1.0], [0.0]]), take=lambda columns: None)
+    study = SimpleNamespace(
+        bench=SimpleNamespace(posterior=lambda block: SimpleNamespace(x=np.ones(2))),
+        owners=("thermal_drift",),
+        base=base,
+        ready=None,
+    )
+    block = SimpleNamespace(A=np.eye(2))
+    one: Any = SimpleNamespace(
+        ids=("thermal_drift",), study=study, remainder=SimpleNamespace(block=block, parts=(part,)), term=lambda i: None
+    )
+    monkeypatch.setattr(form_errors, "Ground", lambda *_: SimpleNamespace(beside=lambda v: v))
+    monkeypatch.setattr(form_errors, "forms_of", lambda *_: SimpleNamespace(has=lambda structure: False))
+    assert form_errors.feigned(one, SETTINGS) == {"thermal_drift": pytest.approx(feigned)}
