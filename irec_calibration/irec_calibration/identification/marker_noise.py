@@ -64,10 +64,11 @@ def by_marker(observation: Observation, residual: Array, taken_up: Array | None 
 
 
 def at_level(observation: Observation, factor: float) -> Observation:
-    """The observation with all noise larger by a factor, in an absolute session of several markers no smaller than the instrument's.
+    """The observation with all noise larger by a factor; in an absolute session of several markers no smaller than the
+    instrument's.
 
-    Where the arm sags by a hundred times the noise, how well markers on the base fit beside it tells nothing, and what was told then
-    is too little by far when springs have taken the sag: a few structures that fit them would outweigh all else.
+    Where the arm sags by a hundred times the noise, how well markers on the base fit beside it tells nothing, and what was
+    told then is too little by far when springs have taken the sag: a few structures that fit them would outweigh all else.
     """
     whiten = observation.whiten.scaled(factor)
     session = observation.session
