@@ -174,10 +174,11 @@ def usual(one: Explanation, effect_id: str) -> bool:
     study = one.study
     if study.ready.kind != "loaded":
         return False
-    rows, scene = study.observation.rows, study.observation.scene
+    observation, scene = study.observation, study.observation.scene
     mine = displacements([t for t in study.terms if t.effect.id == effect_id], scene, prepared(study.terms, scene))
-    whole = float((total_displacement(study.terms, scene)[rows] ** 2).sum())
-    own = sum(float((d[rows] ** 2).sum()) for d in mine.values())
+    # as differences show it: a station that is turned moves what is read at a reference by centimetres
+    whole = float((observation.of(total_displacement(study.terms, scene)) ** 2).sum())
+    own = sum(float((observation.of(d) ** 2).sum()) for d in mine.values())
     values = {n: e.value for n, e in one.term(effect_id).estimates.items()}
     return one.term(effect_id).effect.is_usual(values, sqrt(own / max(whole, 1e-300)))
 

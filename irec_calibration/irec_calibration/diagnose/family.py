@@ -236,7 +236,8 @@ def _bad_rows(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[str, A
         yield words, _moved(study, here), len(size), here
     for k in shared:
         if (key == k).sum() > 1:
-            yield f"reference of pose {session.pose[k]}", _moved(study, key == k), len(np.unique(key)), key == k
+            words = f"reference of pose {session.pose[k]} (read wrongly, or station or reflector were moved right after it)"
+            yield words, _moved(study, key == k), len(np.unique(key)), key == k
     for k in shared[:BAD_POSES_TRIED]:
         inside = np.flatnonzero(key == k)
         if 1 < len(inside) <= 8:

@@ -142,7 +142,6 @@ def noise_left(study: Study, remainder: Remainder, family: Family, settings: Set
     """The observation with the noise that a finished model and its remainder leave, where that is another than was assumed: much
     less, or correlated in time otherwise; else None."""
     observation = study.observation
-    whiten = observation.whiten
     beside = remainder
     if study.session.kind == "loaded" and any(_follows_time(p.structure) for p in remainder.parts):
         beside = grow(study.bench, family, study.base, remainder.parts, without=_follows_time)

@@ -80,6 +80,19 @@ def test_the_share_of_an_effect_is_that_of_the_deflection_in_the_rows_that_were_
     assert shares == [True, False]
 
 
+def test_a_station_that_is_turned_makes_no_soft_tool_usual() -> None:
+    """It moves what is read at each reference by centimetres, of which differences keep nothing."""
+    turned = find_effect("station_registration")
+
+    def hidden(scene: Scene) -> NDArray[np.float64]:
+        return 3e-7 * scene.force + turned.displacement(scene, np.full(len(turned.parameters(scene)), 0.01))
+
+    plain = study(hidden)
+    with_both = study_of(plain.observation, (*plain.terms, Term(turned), Term(find_effect("tool_compliance"))))
+    added = Explanation(with_both.terms[-2:], with_both, 0.0, grow(with_both.bench, family_of(with_both), with_both.base))
+    assert not usual(added, "tool_compliance")
+
+
 def study(hidden) -> Study:
     measured = synthetic.session(poses=20, seed=5, extra=hidden)
     return prepare(measured, start_terms(measured)).to_weigh
