@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from ..effects import Parameter
+from ..effects import Axes, Parameter
 from ..errors import SolveError
 from ..model import Estimate, Term
 from .candidates import Trial, block_at, block_columns
@@ -32,13 +32,37 @@ def refit(study: Study, trial: Trial) -> Study | None:
         for p in variant.effect.parameters(study.ready)
         if p.name in known
     }
-    terms = study.terms
+    starts = [(study.terms, estimates)]
     if variant.effect.loads_arm and study.ready.kind == "absolute":  # it shows springs that the weight doesn't
-        terms = tuple(t.whole(t.effect.parameters(study.ready)) if t.effect.elastic else t for t in terms)
-    try:
-        return study_of(study.observation, (*terms, Term(variant.effect, estimates)))
-    except SolveError:
-        return None
+        free = tuple(t.whole(t.effect.parameters(study.ready)) if t.effect.elastic else t for t in study.terms)
+        starts = [(free, estimates)]
+        if any(_nearly_none(t, study) for t in free):  # from there a fit doesn't find to a force that bends them by more
+            by_none = {n: replace(e, value=0.0) if n not in shape else e for n, e in estimates.items()}
+            starts.append((tuple(_typical(t, study) for t in free), by_none))
+    fitted = []
+    for terms, values in starts:
+        try:
+            fitted.append(study_of(study.observation, (*terms, Term(variant.effect, values))))
+        except SolveError:
+            continue
+    return max(fitted, key=lambda s: s.bench.posterior(s.base).log_evidence, default=None)
+
+
+def _nearly_none(term: Term, study: Study) -> bool:
+    """Whether most springs of the axes are far stiffer than drives like them are."""
+    if term.effect.compliance_of is not Axes.ACTUATED:
+        return False
+    scale = {p.name: p.scale for p in term.effect.parameters(study.ready)}
+    stiff = [e.value < 0.01 * scale[n] for n, e in term.estimates.items()]
+    return 2 * sum(stiff) > len(stiff)
+
+
+def _typical(term: Term, study: Study) -> Term:
+    """A term whose springs of the axes are as soft as drives like them are, where they were found stiffer."""
+    if term.effect.compliance_of is not Axes.ACTUATED:
+        return term
+    scale = {p.name: p.scale for p in term.effect.parameters(study.ready)}
+    return Term(term.effect, {n: replace(e, value=max(e.value, scale[n])) for n, e in term.estimates.items()})
 
 
 def _refined(study: Study, trial: Trial) -> dict[str, float]:
