@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from irec_calibration.diagnose import form_errors, tries
+from absolute_sessions import session
+from irec_calibration.diagnose import form_errors, shape, tries
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
+from irec_calibration.model import Estimate, Term
 
 
 def trial(effect_id: str) -> Any:
@@ -45,6 +48,35 @@ def test_a_hose_and_the_springs_that_it_loads_are_tried_together_although_neithe
     found: Any = (hose,)
     made = tries.two_together(none, none, trials, found, family, lambda: None, SETTINGS)
     assert (made is not None and made[0].ids == ("joint_torsion", "external_force")) == both
+
+
+@pytest.mark.parametrize(("shown", "starts"), [(1e-12, ["as found", "typical"]), (1e-5, ["as found"])])
+def test_a_hose_is_looked_for_from_typical_springs_too_where_the_weight_shows_nearly_none(
+    monkeypatch: pytest.MonkeyPatch, shown: float, starts: list[str]
+) -> None:
+    scene = scene_of(session(poses=3))
+    torsion, hose = find_effect("joint_torsion"), find_effect("external_force")
+    soft = {p.name: p.scale for p in torsion.parameters(scene)}
+    springs = Term(torsion, {n: Estimate(shown) for n in soft})
+    tried: list[str] = []
+
+    def fitted(observation: Any, terms: Any) -> Any:
+        values = {n: e.value for n, e in terms[0].estimates.items()}
+        is_typical = all(values[n] == pytest.approx(soft[n]) for n in soft)
+        tried.append("typical" if is_typical else "as found")
+        assert not is_typical or terms[1].estimates["f_x"].value == 0.0  # a small force read off stiff springs says nothing
+        return SimpleNamespace(name=tried[-1], base=None, bench=SimpleNamespace(posterior=lambda _: evidence(is_typical)))
+
+    def evidence(is_typical: bool) -> Any:
+        return SimpleNamespace(log_evidence=340.0 if is_typical else -37.0)
+
+    monkeypatch.setattr(shape, "study_of", fitted)
+    monkeypatch.setattr(shape, "_refined", lambda *_: {})
+    variant = SimpleNamespace(effect=hose, names=("f_x",), scale=np.ones(1))
+    one: Any = SimpleNamespace(ready=scene, terms=(springs,), observation=None)
+    found = shape.refit(one, SimpleNamespace(best=variant, posterior=SimpleNamespace(x=np.array([0.3]))))  # type: ignore[arg-type]
+    assert tried == starts
+    assert found is not None and found.name == starts[-1]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("ripple", "feigned"), [(None, 0.05 * 200.0), ((2, 40.0), 0.0)])
