@@ -21,7 +21,7 @@ from .candidates import Trial
 from .comparison import compare_observed
 from .held_out import held_out, validated
 from .next_poses import next_measurements
-from .parts import parts_in
+from .parts import parts_in, without_columns
 from .proposals import proposals
 from .result import Candidate, Diagnosis, Measurement
 from .shown import Shown, shown_of
@@ -163,13 +163,27 @@ def _candidates(assessment: Assessment, readings: Readings | None, check: Callab
         out.append(
             Candidate(
                 trial.effect.id, parts_in(term, study), term, after.rms_m, after.rms_se_m, mean, se, alone - luck,
-                p_value(alone - luck), _plausible(trial, term, study),
+                p_value(alone - luck), _plausible(term, study),
                 {n: {"value": e.value, "se": e.se, "unit": e.unit} for n, e in term.estimates.items()},
             )
         )  # fmt: skip
+    out += [_beside_others(i, assessment) for i in assessment.added if i not in {c.effect for c in out}]
     order = _ranking(assessment)
     out.sort(key=lambda c: (order.get(c.effect, len(order)), -c.log_evidence))
     return tuple(replace(c, confusable_with=_confusable(c, assessment, out)) for c in out)
+
+
+def _beside_others(effect_id: str, assessment: Assessment) -> Candidate:
+    """An added effect that moves nothing on top of the start alone, as a hose without springs: on top of the others."""
+    study, term = assessment.study, next(t for t in assessment.study.terms if t.effect.id == effect_id)
+    before, after = held_out(without_columns(study, effect_id)), held_out(study)
+    mean, se, _ = gain(before, after)
+    evidence = assessment.built.evidence.get(effect_id, float("nan"))
+    values = {n: {"value": e.value, "se": e.se, "unit": e.unit} for n, e in term.estimates.items()}
+    return Candidate(
+        effect_id, parts_in(term, study), term, after.rms_m, after.rms_se_m, mean, se, evidence, p_value(evidence),
+        _plausible(term, study), values,
+    )  # fmt: skip
 
 
 def _ranking(assessment: Assessment) -> dict[str, int]:
@@ -216,8 +230,8 @@ def _term_of(trial: Trial, study: Study) -> Term:
     return Term(v.effect, estimates)
 
 
-def _plausible(trial: Trial, term: Term, study: Study) -> bool:
-    for p in trial.effect.parameters(study.ready):
+def _plausible(term: Term, study: Study) -> bool:
+    for p in term.effect.parameters(study.ready):
         if p.name in term.estimates:
             low, high = p.plausible_range
             if not low - 1e-12 <= term.estimates[p.name].value <= high + 1e-12:

@@ -220,8 +220,8 @@ class Settings(Thresholds):
         "a smaller part may make up for an effect's form that is not quite right",
     )  # fmt: skip
     times_to_outweigh: float = threshold(
-        3.0, "times the evidence needed", "evidence of a name that larger structure without a name does not outweigh",
-        "beside larger structure without a name right names had 2.1 and 4 to 9 times what they need, wrong ones 1.1 to 2.1",
+        3.0, "times the evidence needed", "evidence of a name that larger structure which has none does not outweigh",
+        "beside larger structure that has no name right names had 2.1 and 4 to 9 times what they need, wrong ones 1.1 to 2.1",
     )  # fmt: skip
     weigh_again_below: float = threshold(
         0.7, "of the noise assumed", "noise that is left below which everything is weighed again",

@@ -65,6 +65,8 @@ def test_a_soft_tool_under_its_payload_is_named() -> None:
 def test_a_hose_that_pulls_is_named_and_shows_springs_that_the_weight_does_not() -> None:
     told = improve(session(poses=90, noise=NOISE, moved=pulled_at_the_tool))
     assert set(told.before.verdict.effects) == {"joint_torsion", "external_force"}, told.before.verdict.text
+    # the table of candidates begins with what is named, a hose too, which moves nothing without springs
+    assert [c.effect for c in told.before.candidates[:2]] == list(told.before.verdict.effects)
     found = {n: e for t in told.rungs[-1].model.terms for n, e in t.estimates.items()}
     # the first axis is vertical: no weight turns it
     assert found["c_1"].value == pytest.approx(C[0], rel=0.15)
