@@ -119,10 +119,9 @@ def outweighed(
         bare: the model without each of its names; evidence: of each over structures in its place; most: evidence of what has no
             name, at most.
     """
-    least = _least(one, effect_id, feigned(one, settings), settings)
-    if evidence[effect_id] >= settings.times_to_outweigh * least:
-        return False
     if one.study.ready.kind != "loaded" or in_one_pose(one, effect_id) or shown_by_readings(one, effect_id):
+        return False
+    if evidence[effect_id] >= settings.times_to_outweigh * _least(one, effect_id, feigned(one, settings), settings):
         return False
     own = {i: one.named - b.named for i, b in bare.items()}
     others = [(t, own[t.effect.id]) for t in one.added if t.effect.id != effect_id]
