@@ -367,6 +367,8 @@ def bench_topic(seconds: float, period: float, priority: int) -> dict:
         for process in running:
             process.kill()
             process.wait()
+        executor.shutdown()  # while the context lives: an executor that outlives it ends the process by a segmentation fault
+        watcher.destroy_node()
         rclpy.shutdown()
     result = {}
     for name, topic in (("offset_interval_us", "irec/offset"), ("timer_interval_us", "bare")):
