@@ -83,11 +83,11 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
                 known[effect_id] = replace(said, perhaps=tuple(n for n in present if n not in said.proven), one_of=())
                 continue
             used = sets.in_use(names)
+            cut = study if used == present else _with(study, sets.term(used))
             if beside is not None and beside.A.shape[1]:
-                used = _better(study, sets, used, PartSets(rest, term.effect, fitted, None))
+                used, cut = _with_needless(cut, used, PartSets(rest, term.effect, fitted, None))
             known[effect_id] = _with_more(known[effect_id], sets, used)
-            if used != present:
-                study = _with(study, sets.term(used))
+            study = cut
             rival = next((n for n in near if not set(n) < set(names)), None)
             if known[effect_id].one_of and rival is not None and other is None:
                 other = (_with(study, sets.term(rival)).terms, (_label(effect_id, names), _label(effect_id, rival)))
@@ -96,18 +96,21 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
     return Pruned(study, known, other)
 
 
-def _better(study: Study, sets: PartSets, used: Names, alone: PartSets) -> Names:
-    """The parts that a model is used with: also those that only a remainder made needless, where held-out poses ask for them.
+def _with_needless(cut: Study, used: Names, alone: PartSets) -> tuple[Names, Study]:
+    """A model and its parts, with those too that only a remainder made needless, where held-out poses ask for them.
 
     A remainder describes; without a name it predicts nothing, and what it takes from a named effect the model would lack.
+
+    Args:
+        cut: the model with the parts that are asked for beside a remainder; used: these parts; alone: sets without a remainder.
     """
-    also, _ = alone.best(alone.cut_down(alone.names))
-    more = sets.ordered((*used, *also))
+    also, _ = alone.best(alone.names)
+    more = alone.ordered((*used, *also))
     if more == used:
-        return used
-    fewer, whole = (_with(study, sets.term(n) if n == used else alone.term(n)) for n in (used, more))
-    mean, se, _ = gain(held_out(fewer), held_out(whole))
-    return more if mean > SETTINGS.held_out_sigmas * se else used
+        return used, cut
+    whole = _with(cut, alone.term(more))
+    mean, se, _ = gain(held_out(cut), held_out(whole))
+    return (more, whole) if mean > SETTINGS.held_out_sigmas * se else (used, cut)
 
 
 def _with_more(parts: Parts, sets: PartSets, used: Names) -> Parts:

@@ -14,6 +14,7 @@ from ..identification.provenance import model_of
 from ..identification.validation import HeldOut, gain
 from ..model import Estimate, Model, Term
 from ..session.data import Session
+from ..typing import Json
 from .again import built_again
 from .assessment import Assessment, assess, bad_luck, p_value
 from .bad_readings import one_note_each, rows_json
@@ -163,8 +164,7 @@ def _candidates(assessment: Assessment, readings: Readings | None, check: Callab
         out.append(
             Candidate(
                 trial.effect.id, parts_in(term, study), term, after.rms_m, after.rms_se_m, mean, se, alone - luck,
-                p_value(alone - luck), _plausible(term, study),
-                {n: {"value": e.value, "se": e.se, "unit": e.unit} for n, e in term.estimates.items()},
+                p_value(alone - luck), _plausible(term, study), _values(term),
             )
         )  # fmt: skip
     out += [_beside_others(i, assessment) for i in assessment.added if i not in {c.effect for c in out}]
@@ -179,11 +179,15 @@ def _beside_others(effect_id: str, assessment: Assessment) -> Candidate:
     before, after = held_out(without_columns(study, effect_id)), held_out(study)
     mean, se, _ = gain(before, after)
     evidence = assessment.built.evidence.get(effect_id, float("nan"))
-    values = {n: {"value": e.value, "se": e.se, "unit": e.unit} for n, e in term.estimates.items()}
     return Candidate(
         effect_id, parts_in(term, study), term, after.rms_m, after.rms_se_m, mean, se, evidence, p_value(evidence),
-        _plausible(term, study), values,
+        _plausible(term, study), _values(term),
     )  # fmt: skip
+
+
+def _values(term: Term) -> dict[str, Json]:
+    """Value, standard error and unit of each parameter."""
+    return {n: {"value": e.value, "se": e.se, "unit": e.unit} for n, e in term.estimates.items()}
 
 
 def _ranking(assessment: Assessment) -> dict[str, int]:

@@ -23,7 +23,11 @@ WIDER = 2.5  # times the value before, either way, in which a shape value is loo
 
 
 def refit(study: Study, trial: Trial) -> Study | None:
-    """A model with a tried effect, fitted exactly, with its shape values refined; None where the fit fails."""
+    """A model with a tried effect, fitted exactly, with its shape values refined; None where the fit fails.
+
+    A force on the arm of an absolute session is looked for from typical springs too, where the model has nearly none: the better
+    fit is taken.
+    """
     variant = trial.best
     shape = _refined(study, trial)
     known = dict(zip(variant.names, trial.posterior.x * variant.scale, strict=True)) | shape
@@ -36,7 +40,7 @@ def refit(study: Study, trial: Trial) -> Study | None:
     if variant.effect.loads_arm and study.ready.kind == "absolute":  # it shows springs that the weight doesn't
         free = tuple(t.whole(t.effect.parameters(study.ready)) if t.effect.elastic else t for t in study.terms)
         starts = [(free, estimates)]
-        if any(_nearly_none(t, study) for t in free):  # from there a fit doesn't find to a force that bends them by more
+        if any(_nearly_none(t, study) for t in free):  # from there a fit may miss a force that bends them by more than the weight
             by_none = {n: replace(e, value=0.0) if n not in shape else e for n, e in estimates.items()}
             starts.append((tuple(_typical(t, study) for t in free), by_none))
     fitted = []

@@ -110,7 +110,7 @@ def outweighed(
     most: float = np.inf,
 ) -> bool:  # fmt: skip
     """Whether what stays without a name in a loaded session explains more than a name does: that is as likely a piece of it,
-    unless its evidence is several times what what stays could feign.
+    unless the evidence of the name is several times what it needs beside that.
 
     What has the form of another name that explains more than it does is that one's, whose form is not quite right. An absolute
     session starts without springs, and real robots leave structure that has nothing to do with them.
@@ -121,15 +121,15 @@ def outweighed(
     """
     if one.study.ready.kind != "loaded" or in_one_pose(one, effect_id) or shown_by_readings(one, effect_id):
         return False
-    if evidence[effect_id] >= settings.times_to_outweigh * _least(one, effect_id, feigned(one, settings), settings):
-        return False
     own = {i: one.named - b.named for i, b in bare.items()}
     others = [(t, own[t.effect.id]) for t in one.added if t.effect.id != effect_id]
 
     def mends(part: Part) -> bool:
         return any(e > part.log_evidence and has_form_of(part.structure, t, one.study.ready) for t, e in others)
 
-    return own[effect_id] < min(most, sum(p.log_evidence for p in one.remainder.structures if not mends(p)))
+    if own[effect_id] >= min(most, sum(p.log_evidence for p in one.remainder.structures if not mends(p))):
+        return False
+    return evidence[effect_id] < settings.times_to_outweigh * _least(one, effect_id, feigned(one, settings), settings)
 
 
 def _least(one: Explanation, effect_id: str, left: dict[str, float], settings: Settings) -> float:

@@ -69,6 +69,9 @@ def at_level(observation: Observation, factor: float) -> Observation:
 
     Where the arm sags by a hundred times the noise, how well markers on the base fit beside it tells nothing, and what was
     told then is too little by far when springs have taken the sag: a few structures that fit them would outweigh all else.
+
+    Args:
+        factor: of all standard deviations, as of `Whitening.scaled`.
     """
     whiten = observation.whiten.scaled(factor)
     session = observation.session

@@ -31,7 +31,7 @@ def position_sigma(session: Session) -> Array:
 
 
 def instrument_sigma(session: Session) -> Array:
-    """The part of it that is the tracker's and that of settling, which a marker on the base has too, (n,), m."""
+    """Standard deviation per coordinate of tracker and settling alone, which a marker on the base has too, (n,), m."""
     return np.asarray(np.sqrt(np.maximum(_instrument_variance(session), SMALLEST_SIGMA_M**2)))
 
 
