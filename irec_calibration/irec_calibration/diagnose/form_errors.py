@@ -18,7 +18,6 @@ from .directions import shapes
 from .evidence import Block, Ground
 from .explanation import Explanation
 from .forms import forms_of
-from .remainder import Part
 from .settings import Settings
 from .study import Study
 
@@ -63,8 +62,7 @@ def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
     the name, beside everything else in the model.
 
     That is their own evidence, which goes with squares, times the square of the correlation of the two displacements; at least
-    what the form of a structure, which is not quite that of its cause, leaves to any other (`share_feigned`). What repeats many
-    times per turn leaves nothing of that kind: no cause of the catalogue is like it.
+    what the form of a structure, which is not quite that of its cause, leaves to any other (`share_feigned`).
     """
     block, study = one.remainder.block, one.study
     x = study.bench.posterior(block).x
@@ -82,13 +80,9 @@ def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
         columns = [i for i, owner in enumerate(study.owners) if owner == effect_id]
         mine = ground.beside(block.A[:, columns] @ x[columns])
         forms = forms_of(one.term(effect_id), one.study.ready)
-        others = [(p, v) for p, v in moved if not forms.has(p.structure)]
-        out[effect_id] = sum(p.log_evidence * max(_cosine(mine, v) ** 2, _least(p, settings)) for p, v in others)
+        others = [(p.log_evidence, v) for p, v in moved if not forms.has(p.structure)]
+        out[effect_id] = sum(e * max(_cosine(mine, v) ** 2, settings.share_feigned) for e, v in others)
     return out
-
-
-def _least(part: Part, settings: Settings) -> float:
-    return settings.share_feigned if part.structure.ripple is None else 0.0
 
 
 def _cosine(a: Array, b: Array) -> float:
