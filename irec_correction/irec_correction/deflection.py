@@ -171,9 +171,12 @@ class Deflection:
             tick.tau = tau[tick.drives]
             for form in self._follow:
                 dq += form.displacement(tick, elastic, self._at_tcp(J @ elastic)[0])
+            tick.tau_unseen[:] = 0.0
             for pull, columns in self._pulls:
                 tick.directions = J[3:, columns]
-                dq += self._answer(J.T @ self._at_base(pull.force(tick, chain.p_tcp, R), pull.torque(tick, R)))
+                unseen = J.T @ self._at_base(pull.force(tick, chain.p_tcp, R), pull.torque(tick, R))
+                tick.tau_unseen += unseen[tick.drives]
+                dq += self._answer(unseen)
         else:
             elastic = dq
         if self._laws:

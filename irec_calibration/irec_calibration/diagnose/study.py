@@ -18,7 +18,7 @@ from ..identification.identify import Fit, fit, keep_seated_anew, observe_with_f
 from ..identification.observe import Observation
 from ..identification.system import linearise
 from ..identification.validation import RIDGE, ROUNDING, floored
-from ..model import Term, apply_wrench_effects, elastic_response, mover_of
+from ..model import Term, apply_wrench_effects, elastic_response, mover_of, with_pull
 from ..session.data import Session
 from ..typing import Array
 from .evidence import Bench, Block, NoisePrior
@@ -192,7 +192,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     system = result.system
     ready = apply_wrench_effects(result.terms, scene)
     mover = mover_of(known_effects().values(), ready)
-    ready = replace(ready, elastic=elastic_response(result.terms, ready, mover))
+    ready = with_pull(result.terms, replace(ready, elastic=elastic_response(result.terms, ready, mover)))
     return Study(
         result,
         ready,

@@ -98,7 +98,8 @@ class Effect(ABC):
         cause: what its displacement comes from; decides about predictions and the live correction.
         elastic: a spring of the structure: part of the elastic response that other effects refer to.
         needs_elastic: reads `scene.elastic`.
-        loads_arm: a force on the arm beside process and weight: an absolute session shows it as soon as the model has springs.
+        loads_arm: a force on the arm beside process and weight (`pull`): an absolute session shows it as soon as the model has
+            springs.
         moves_joints: in a loaded session springs turn about other lines than the robot description has: reads
             `scene.response.by_geometry`, and has `standing`, which predictions rest on.
         needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`, `tracker`,
@@ -222,6 +223,10 @@ class Effect(ABC):
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
         """For `acts_on = wrench`: the force and torque in tool0 that really act, (n, 3) each, N and N m."""
         raise NotImplementedError(f"{self.id} does not act on the wrench")
+
+    def pull(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
+        """For `loads_arm`: force and torque at the TCP, in tool0, (n, 3) each, N and N m, that laws of gears answer to too."""
+        raise NotImplementedError(f"{self.id} does not load the arm")
 
     def placed(self, session: Session, values: dict[str, float]) -> Json:
         """For `registers`: where the values put the session's instruments, for the model's provenance."""

@@ -88,8 +88,11 @@ class ExternalForce(Effect):
         )
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
-        pull = [self.displacement(replace(scene, elastic=_unit(len(scene), part)), theta) for part in range(2)]
-        return np.asarray(np.einsum("nijp,nj->nip", change.compliance, np.concatenate(pull, axis=1)))
+        return np.asarray(np.einsum("nijp,nj->nip", change.compliance, np.concatenate(self.pull(scene, theta), axis=1)))
+
+    def pull(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
+        force, torque = (self.displacement(replace(scene, elastic=_unit(len(scene), part)), theta) for part in range(2))
+        return force, torque
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Pull(theta, _wrist(scene), _forearm(scene))

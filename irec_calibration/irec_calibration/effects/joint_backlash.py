@@ -50,7 +50,7 @@ class JointBacklash(Effect):
         return np.concatenate([self._columns(scene, theta[-1]), by_range[:, :, None]], axis=2)
 
     def _columns(self, scene: Scene, share: float) -> Array:
-        side = 0.5 * np.tanh((scene.tau + scene.tau_gravity) / (share * rated_torque(scene.robot)))
+        side = 0.5 * np.tanh((scene.tau_acting + scene.tau_gravity) / (share * rated_torque(scene.robot)))
         return (scene.J * side[:, None, :])[:, :, scene.driven]
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray:
@@ -83,5 +83,5 @@ class _Backlash(ColumnLaw):
 
     def displacement(self, tick: Tick, tau: Array) -> Array:
         preload = tick.tau_gravity
-        out: Array = self._half * (np.tanh((tau + preload) / self._soft) - np.tanh(preload / self._soft))
+        out: Array = self._half * (np.tanh((tau + tick.tau_unseen + preload) / self._soft) - np.tanh(preload / self._soft))
         return out

@@ -102,12 +102,12 @@ class JointHysteresis(Effect):
         played = np.zeros((len(scene), len(r), scene.n_joints))
         came = np.tanh(travel_to_reference(scene) / TURNS) if arrived else np.zeros_like(scene.q)
         for n, rows in enumerate(scene.rows.in_turn):
-            tau, last = scene.tau[rows][:, None], arrived * came[rows][:, None] * r
+            tau, last = scene.tau_acting[rows][:, None], arrived * came[rows][:, None] * r
             if n:
                 before = scene.previous[rows]
-                last = released(played[before], scene.tau[before][:, None], freed * scene.step[rows][:, None])
+                last = released(played[before], scene.tau_acting[before][:, None], freed * scene.step[rows][:, None])
             played[rows] = np.clip(last, tau - r, tau + r)
-        held = by_slider(played - scene.tau[:, None, :], 1)
+        held = by_slider(played - scene.tau_acting[:, None, :], 1)
         return np.concatenate([(scene.J * held[:, None, i])[:, :, scene.driven] for i in range(len(SLIDERS))], axis=2)
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
@@ -131,6 +131,7 @@ class _Friction(ColumnLaw):
         self._tau = np.zeros(self._r.shape[1])
 
     def displacement(self, tick: Tick, tau: Array) -> Array:
+        tau = tau + tick.tau_unseen
         if self._freed > 0.0:
             if self._q is not None:
                 self._played = released(self._played, self._tau, self._freed * (tick.q - self._q))

@@ -67,10 +67,9 @@ class JointStiffening(Effect):
         x_0 = fraction * rated_torque(scene.robot)
         saturating = np.arcsinh if slow >= 0.5 else np.tanh
 
-        def g(x: Array) -> Array:
-            return x - x_0 * saturating(x / x_0)
-
-        bent = g(scene.tau + scene.tau_gravity) - g(scene.preload())
+        # what answers to a hose answers by the loaded gear already, which is the linear part
+        before, acting = scene.preload(), scene.tau_acting + scene.tau_gravity
+        bent = scene.tau + scene.tau_gravity - before - x_0 * (saturating(acting / x_0) - saturating(before / x_0))
         return (scene.J * bent[:, None, :])[:, :, scene.driven]
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray:
@@ -93,5 +92,5 @@ class _Stiffening(ColumnLaw):
 
     def displacement(self, tick: Tick, tau: Array) -> Array:
         x_0, preload = self._x_0, tick.tau_gravity
-        out: Array = -self._a * x_0 * (self._s((tau + preload) / x_0) - self._s(preload / x_0))
+        out: Array = -self._a * x_0 * (self._s((tau + tick.tau_unseen + preload) / x_0) - self._s(preload / x_0))
         return out

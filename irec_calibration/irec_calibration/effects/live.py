@@ -29,18 +29,20 @@ class Tick:
         drives: places of the drives among all columns, (k,).
         tau: torque of the process about each drive, (k,), N m; kept up to date where the model has an `ElasticLaw`.
         tau_gravity: torque of gravity about each drive, (k,), N m; zeros where no form asks for it.
+        tau_unseen: torque about each drive of what pulls at the arm and no sensor reads (`Pull`), (k,), N m.
         dt: time since the tick before, s.
         rail_position: of the external axis, m.
         directions: unit vectors in base_link of the columns that a `Pull` asks for, (3, c).
     """
 
-    __slots__ = ("directions", "drives", "dt", "q", "rail_position", "tau", "tau_gravity")
+    __slots__ = ("directions", "drives", "dt", "q", "rail_position", "tau", "tau_gravity", "tau_unseen")
 
     def __init__(self, n_joints: int) -> None:
         self.q = np.zeros(n_joints)
         self.drives = np.arange(n_joints)
         self.tau = np.zeros(n_joints)
         self.tau_gravity = np.zeros(n_joints)
+        self.tau_unseen = np.zeros(n_joints)
         self.dt = 0.0
         self.rail_position = 0.0
         self.directions = np.zeros((3, 0))

@@ -59,6 +59,6 @@ def comes_near_zero(scene: Scene, soft: Array) -> BoolArray:
     Args:
         soft: range of torque about zero over which a law bends, (k,), N m.
     """
-    torque = scene.tau + scene.tau_gravity
+    torque = scene.tau_acting + scene.tau_gravity
     near = (np.abs(torque) <= NEAR * soft).any(axis=0)
     return np.asarray(near | ((torque > 0.0).any(axis=0) & (torque < 0.0).any(axis=0)))

@@ -28,6 +28,8 @@ class Scene:
     Attributes:
         ext: external axes by name, (n,), m or rad. temperature: by name, (n,), degC.
         elastic: what the model's elastic effects answer in these rows; only for effects with `needs_elastic`.
+        tau_unseen: torque about the actuated axes of what pulls at the arm and no sensor reads, by the model, (n, k), N m; None:
+            nothing does.
         asked: parameters that effects have here, as far as they were asked for (`parameters_of`).
     """
 
@@ -39,6 +41,7 @@ class Scene:
     ext: dict[str, Array] = field(default_factory=dict)
     temperature: dict[str, Array] = field(default_factory=dict)
     elastic: ElasticResponse | None = None
+    tau_unseen: Array | None = None
     asked: dict[int, tuple[object, tuple[Any, ...]]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -176,6 +179,11 @@ class Scene:
         return self.load.tau
 
     @property
+    def tau_acting(self) -> Array:
+        """The same with the torque of what no sensor reads, such as hoses, (n, k), N m: what gears carry beside the weight."""
+        return self.tau if self.tau_unseen is None else self.tau + self.tau_unseen
+
+    @property
     def tau_virtual(self) -> Array:
         """Torque of the process wrench about each virtual axis, Eq. (9), (n, 2k), N m."""
         return self.load.tau_virtual
@@ -288,6 +296,7 @@ class Scene:
                 view=View(self.arm, self.p_observed, self.moves_with_arm),
                 load=Load(self.arm, nothing, nothing),
                 elastic=None,
+                tau_unseen=None,
             )
             self.view.kept["by_weight"] = kept
         return kept
@@ -317,4 +326,5 @@ class Scene:
             ext={k: v[rows] for k, v in self.ext.items()},
             temperature={k: v[rows] for k, v in self.temperature.items()},
             elastic=None if self.elastic is None else cut(self.elastic, rows),
+            tau_unseen=None if self.tau_unseen is None else self.tau_unseen[rows],
         )

@@ -23,6 +23,7 @@ from .model import (
     regressors,
     sag_of,
     total_displacement,
+    with_pull,
 )
 
 __all__ = [
@@ -47,4 +48,5 @@ __all__ = [
     "regressors",
     "sag_of",
     "total_displacement",
+    "with_pull",
 ]

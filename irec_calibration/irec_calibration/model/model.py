@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..effects import Axes, Effect, Parameter, find_effect, follows_springs, is_predicted, parameters_of
+from ..effects import Axes, Effect, Family, Parameter, find_effect, follows_springs, is_predicted, parameters_of
 from ..effects.scene import Scene
-from ..effects.state import ElasticResponse
+from ..effects.state import ElasticResponse, Load
 from ..errors import ModelError
 from ..typing import Array, Json
 from .springs import answer_of, by_geometry, by_parameters, displacement_at, is_kept, response_of
@@ -23,6 +23,7 @@ GEOMETRIC = ("station_pose", "marker_position", "geometry_error")  # where absol
 
 
 NO_UNIT = ("1", "0 or 1")
+PULL_STEP = 1e-3  # of the scale of a pull, for derivatives
 MOST_SAG = 1.5  # times what the masses of a robot description say
 
 
@@ -288,11 +289,20 @@ def mover_of(effects: Iterable[Effect], scene: Scene) -> Effect | None:
 
 
 def prepared(terms: Sequence[Term], scene: Scene) -> Scene:
-    """The scene as the effects of a model see it: wrench corrected, elastic response attached where one needs it."""
+    """The scene as the effects of a model see it: wrench corrected, what pulls unseen and elastic response attached."""
     scene = apply_wrench_effects(terms, scene)
     if any(follows_springs(t.effect, scene) for t in terms):
         scene = replace(scene, elastic=elastic_response(terms, scene, mover_of((t.effect for t in terms), scene)))
-    return scene
+    return with_pull(terms, scene)
+
+
+def with_pull(terms: Sequence[Term], scene: Scene) -> Scene:
+    """The scene with the torque of what pulls at the arm and no sensor reads: laws of gears answer to that too."""
+    pulls = [t for t in terms if t.effect.loads_arm and any(e.value for e in t.estimates.values())]
+    if not pulls:
+        return scene
+    wrenches = [t.effect.pull(scene, t.theta(parameters_of(t.effect, scene))) for t in pulls]
+    return replace(scene, tau_unseen=sum(Load(scene.arm, *wrench).tau for wrench in wrenches))
 
 
 def displacements(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) -> dict[str, Array]:
@@ -342,7 +352,27 @@ def regressors(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) 
             for j, p, c in takers[i]:
                 out[j] = out[j].copy()
                 out[j][:, :, p] += more[:, :, c]
-    return out
+    return _with_laws(terms, ready, out)
+
+
+def _with_laws(terms: Sequence[Term], ready: Scene, out: list[Array]) -> list[Array]:
+    """Derivatives by the parameters of each term, with what laws of gears make of the torque of what pulls unseen."""
+    unseen = ready.tau_unseen
+    laws = [t for t in terms if t.effect.family is Family.TORQUE_LAW and any(e.value for e in t.estimates.values())]
+    if unseen is None or not laws:
+        return out
+    at = sum((_moved(t, ready) for t in laws), np.zeros((len(ready), 3)))
+    found = []
+    for term, plain in zip(terms, out, strict=True):
+        parameters = parameters_of(term.effect, ready) if term.effect.loads_arm else ()
+        more = plain.copy() if parameters else plain
+        for i in term.free(parameters):
+            step = np.zeros(len(parameters))
+            step[i] = PULL_STEP * parameters[i].scale
+            there = replace(ready, tau_unseen=unseen + Load(ready.arm, *term.effect.pull(ready, step)).tau)
+            more[:, :, i] += (sum(_moved(t, there) for t in laws) - at) / step[i]
+        found.append(more)
+    return found
 
 
 def _takers(terms: Sequence[Term], springs: Sequence[int], scene: Scene) -> dict[int, list[tuple[int, int, int]]]:

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A gear carries what a hose pulls too: its friction, play and stiffening answer to the whole torque, and no part counts twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
+from irec_calibration.effects.scene import Scene
+from irec_calibration.model import Estimate, Term, prepared, regressors, total_displacement
+from irec_calibration.robot.ratings import rated_torque
+from synthetic import session
+
+AXIS = 2  # joint_3
+SOFT, HARDENS, BREAK = 8e-7, -5e-7, 0.05  # rad/(N m), rad/(N m), share of the rated torque
+PULL = (150.0, -90.0, -200.0)  # N in base_link
+LAWS = {
+    "joint_stiffening": {f"a_{AXIS + 1}": HARDENS, "x_0": BREAK, "slow": 0.0},
+    "joint_hysteresis": {f"h_{AXIS + 1}": 4e-7, "r": 0.03, "spread": 0.0, "freed": 0.0, "arrived": 0.0},
+    "joint_backlash": {f"b_{AXIS + 1}": 4e-4, "w": 0.02},
+}
+
+
+def term(effect_id: str, values: dict[str, float]) -> Term:
+    return Term(find_effect(effect_id), {n: Estimate(v) for n, v in values.items()})
+
+
+def pulled(law: str, pull: tuple[float, ...] = PULL) -> list[Term]:
+    hose = dict(zip(("f_x", "f_y", "f_z"), pull, strict=True))
+    return [term("joint_torsion", {f"c_{AXIS + 1}": SOFT}), term(law, LAWS[law]), term("external_force", hose)]
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    plain = scene_of(session(6, seed=2))
+    return replace(plain, view=replace(plain.view, sags=False))
+
+
+def with_the_force(scene: Scene) -> Scene:
+    """The scene as if the sensor read the hose too."""
+    pull = np.einsum("nji,j->ni", scene.kin.R_tool, np.array(PULL)) * scene.rows.under_load[:, None]
+    return scene.with_wrench(scene.force_in_tool + pull, scene.torque_in_tool)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_gear_moves_under_a_hose_as_under_the_same_force_that_is_read(law: str, scene: Scene) -> None:
+    by_hose = scene.change(total_displacement(pulled(law), scene))
+    alone = scene.change(total_displacement(pulled(law), with_the_force(scene)))
+    seen = scene.change(total_displacement(pulled(law)[:2], with_the_force(scene)))
+    np.testing.assert_allclose(by_hose, seen, atol=1e-6 * np.abs(seen).max())
+    assert np.abs(alone - seen).max() > 0.05 * np.abs(seen).max()
+
+
+def test_a_stiffening_gear_under_a_hose_turns_by_the_law_of_its_whole_torque(scene: Scene) -> None:
+    weight, acting = scene.tau_gravity[:, AXIS], with_the_force(scene).tau[:, AXIS]
+    x_0 = BREAK * rated_torque(scene.robot)[AXIS]
+
+    def turned(tau: np.ndarray) -> np.ndarray:
+        return SOFT * tau + HARDENS * (tau - x_0 * np.tanh(tau / x_0))
+
+    expected = scene.J[:, :, AXIS] * (turned(acting + weight) - turned(weight))[:, None]
+    np.testing.assert_allclose(total_displacement(pulled("joint_stiffening"), scene), expected, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_what_gears_make_of_a_hose_is_part_of_the_derivative_by_its_force(law: str, scene: Scene) -> None:
+    terms, h = pulled(law), 1e-3
+    names = [p.name for p in terms[-1].effect.parameters(scene)]
+    found = regressors(terms, scene)[-1]
+    for i, name in enumerate(("f_x", "f_y", "f_z")):
+        step = h * np.eye(3)[i]
+        sides = [total_displacement(pulled(law, tuple(np.array(PULL) + s)), scene) for s in (step, -step)]
+        slope = (sides[0] - sides[1]) / (2.0 * h)
+        np.testing.assert_allclose(found[:, :, names.index(name)], slope, atol=2e-3 * np.abs(slope).max())
+
+
+def test_without_a_hose_nothing_pulls(scene: Scene) -> None:
+    assert prepared(pulled("joint_backlash", (0.0, 0.0, 0.0)), scene).tau_unseen is None
+    assert prepared(pulled("joint_backlash")[:2], scene).tau_unseen is None
