@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..effects import Family
 from ..model import Term
 from ..model.model import displacement_of
 from ..typing import Array
@@ -62,7 +63,8 @@ def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
     the name, beside everything else in the model.
 
     That is their own evidence, which goes with squares, times the square of the correlation of the two displacements; at least
-    what the form of a structure, which is not quite that of its cause, leaves to any other (`share_feigned`).
+    what the form of a structure, which is not quite that of its cause, leaves to any other (`share_feigned`). What repeats many
+    times per turn of an axis leaves nothing of that kind to what passes with time.
     """
     block, study = one.remainder.block, one.study
     x = study.bench.posterior(block).x
@@ -80,8 +82,12 @@ def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
         columns = [i for i, owner in enumerate(study.owners) if owner == effect_id]
         mine = ground.beside(block.A[:, columns] @ x[columns])
         forms = forms_of(one.term(effect_id), one.study.ready)
-        others = [(p.log_evidence, v) for p, v in moved if not forms.has(p.structure)]
-        out[effect_id] = sum(e * max(_cosine(mine, v) ** 2, settings.share_feigned) for e, v in others)
+        passes = one.term(effect_id).effect.family is Family.TIME
+        others = [(p, v) for p, v in moved if not forms.has(p.structure)]
+        out[effect_id] = sum(
+            p.log_evidence * max(_cosine(mine, v) ** 2, 0.0 if passes and p.structure.ripple else settings.share_feigned)
+            for p, v in others
+        )
     return out
 
 

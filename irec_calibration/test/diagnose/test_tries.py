@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is tried on top of a model at one step: a hose with the springs that it loads."""
+"""What is tried on top of a model at one step: a hose with the springs that it loads, and what ripples could feign."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from absolute_sessions import session
-from irec_calibration.diagnose import shape, tries
+from irec_calibration.diagnose import form_errors, shape, tries
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
@@ -77,3 +77,25 @@ def test_a_hose_is_looked_for_from_typical_springs_too_where_the_weight_shows_ne
     found = shape.refit(one, SimpleNamespace(best=variant, posterior=SimpleNamespace(x=np.array([0.3]))))  # type: ignore[arg-type]
     assert tried == starts
     assert found is not None and found.name == starts[-1]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("effect_id", "ripple", "feigned"),
+    [("thermal_drift", None, 0.05), ("thermal_drift", (2, 40.0), 0.0), ("joint_backlash", (2, 40.0), 0.05)],
+)
+def test_what_repeats_many_times_per_turn_feigns_nothing_that_passes_with_time(
+    monkeypatch: pytest.MonkeyPatch, effect_id: str, ripple: tuple[int, float] | None, feigned: float
+) -> None:
+    structure = SimpleNamespace(columns=slice(0, 1), is_bad_row=False, ripple=ripple)
+    part = SimpleNamespace(structure=structure, log_evidence=200.0)
+    base = SimpleNamespace(A=np.array([[1.0], [0.0]]), take=lambda columns: None)
+    study = SimpleNamespace(
+        bench=SimpleNamespace(posterior=lambda block: SimpleNamespace(x=np.ones(2))), owners=(effect_id,), base=base, ready=None
+    )
+    remainder = SimpleNamespace(block=SimpleNamespace(A=np.eye(2)), parts=(part,))
+    one: Any = SimpleNamespace(
+        ids=(effect_id,), study=study, remainder=remainder, term=lambda i: SimpleNamespace(effect=find_effect(i))
+    )
+    monkeypatch.setattr(form_errors, "Ground", lambda *_: SimpleNamespace(beside=lambda v: v))
+    monkeypatch.setattr(form_errors, "forms_of", lambda *_: SimpleNamespace(has=lambda structure: False))
+    assert form_errors.feigned(one, SETTINGS) == {effect_id: pytest.approx(feigned * 200.0)}

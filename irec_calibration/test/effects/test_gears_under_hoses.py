@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gear carries what a hose pulls too: its friction, play and stiffening answer to the whole torque, and no part counts twice."""
+"""A gear carries what a hose pulls too: friction, play and stiffening answer to the whole torque, and no part counts twice."""
 
 from __future__ import annotations
 
