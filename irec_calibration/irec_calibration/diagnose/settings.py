@@ -136,6 +136,11 @@ class Settings(Thresholds):
         "of what another name explains, below which a name must stand beside any deviation of that one's form",
         "an effect whose form is not quite right leaves 1 % of its square to be explained by another",
     )  # fmt: skip
+    share_of_second_law: float = threshold(
+        0.1, "share of squares",
+        "of what play or stiffening of an axis explains, that the other of the same axis must explain to be named beside it",
+        "a form that is a third off: gears follow neither exactly, and the second may only mend the first",
+    )  # fmt: skip
     form_error: float = threshold(
         0.1, "share of displacement",
         "by which an effect may deviate from its form along any smooth function of a session's variables",

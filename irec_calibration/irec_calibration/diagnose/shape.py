@@ -138,7 +138,7 @@ def _moved_shape(study: Study, term: Term) -> dict[str, float]:
 
 
 def _is_continuous(p: Parameter) -> bool:
-    return 3 <= len(p.grid) <= 20
+    return 3 <= len(p.grid) <= 20 and not p.kinds
 
 
 def _scale_of(p: Parameter) -> tuple[Callable[[float], float], Callable[[float], float]]:

@@ -12,8 +12,8 @@ import numpy as np
 
 from .explanation import Explanation, everywhere, in_one_pose, shown_by_readings, without
 from .family import Family
-from .form_errors import evidence_beside, feigned
-from .forms import has_form_of
+from .form_errors import evidence_beside, feigned, moved_beside
+from .forms import bends, has_form_of
 from .naming import needed, odds_of
 from .readings import against
 from .remainder import Part
@@ -102,7 +102,11 @@ def _weak(
     everything = max(start.study.bench.posterior(start.study.base).chi2 - one.chi2, 1e-9)
     share = {i: (b.study.bench.posterior(b.study.base).chi2 - one.chi2) / everything for i, b in bare.items()}
     least = {i: _least(one, i, left, settings) for i in one.ids}
-    return [i for i in one.ids if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i]]
+    return [
+        i
+        for i in one.ids
+        if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i] or _mends(one, i, settings)
+    ]
 
 
 def outweighed(
@@ -138,6 +142,17 @@ def _least(one: Explanation, effect_id: str, left: dict[str, float], settings: S
     is_arm = one.term(effect_id).effect.compliance_of is not None
     surely = (everywhere(one, effect_id) and is_arm) or shown_by_readings(one, effect_id)
     return needed(one, effect_id, settings) + (0.0 if surely else left[effect_id])
+
+
+def _mends(one: Explanation, effect_id: str, settings: Settings) -> bool:
+    """Whether a law of torque moves the arm by little beside another one of the same axes: it may only mend that one's form."""
+    laws = {t.effect.id: bends(t, one.study.ready) for t in one.added if not t.effect.by_angle}
+    mine = laws.get(effect_id)
+    others = [i for i, axes in laws.items() if mine and i != effect_id and mine <= axes]
+    if not others:
+        return False
+    moved = {i: float((v**2).sum()) for i, v in moved_beside(one).items()}
+    return any(moved[effect_id] < settings.share_of_second_law * moved[i] for i in others)
 
 
 def _beside_larger(one: Explanation, effect_id: str, share: dict[str, float], settings: Settings) -> float:

@@ -41,6 +41,7 @@ class Parameter:
         start: value where a fit starts and where the effect is absent (nonlinear ones: a mid value).
         group: parameters that may be present on their own, e.g. `axis 3`; empty: only together with the others.
         grid: for a parameter that enters nonlinearly: values over which it is profiled. Empty: linear.
+        kinds: the values of the grid are kinds, and nothing lies between them.
         flat: only the session says anything about it (no prior, and a fit starts from its present value).
         width: standard deviation of the prior about 0, in multiples of `scale`.
         axis: joint that the parameter belongs to, counted from 0; None: to none.
@@ -61,6 +62,7 @@ class Parameter:
     start: float = 0.0
     group: str = ""
     grid: tuple[float, ...] = ()
+    kinds: bool = False
     flat: bool = False
     width: float = 1.0
     axis: int | None = None

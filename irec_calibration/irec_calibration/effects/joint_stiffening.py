@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..robot.ratings import rated_torque
@@ -14,7 +16,7 @@ from .scales import comes_near_zero, typical_compliance
 from .scene import Scene
 from .traits import Family
 
-FRACTIONS_OF_RATED = (0.05, 0.15, 0.4, 1.5)
+FRACTIONS_OF_RATED = (WIDEST, 0.07, 0.18, 0.45, 1.5)
 PRIOR_WIDTH = 2.0  # multiples of the scale: a soft zone of 5 % of the rated torque winds up as far as play of the same prior
 
 
@@ -23,10 +25,10 @@ class JointStiffening(Effect):
     label = "joint stiffening"
     physics = (
         "A gear is soft at small torque and stiffens as more teeth carry: extra deflection J_k [g(tau_k + tau_g,k) - "
-        "g(tau_g,k)] with g(x) = a_k (x - x_0 s(x / x_0)), a_k <= 0: cubic below x_0, above it a piecewise line (s = tanh) or, "
-        "with slow 1, a stiffness that goes on growing (s = asinh). The compliance never rises with the torque; what is softer "
-        "over less than 3 % of the rated torque is play. Missing, the "
-        "residual is odd and nonlinear in the torque of one axis, shifted by its gravity preload."
+        "g(tau_g,k)] with g(x) = a_k (x - x_0 s(x / x_0)), a_k <= 0: cubic below x_0, above it a piecewise line (s = tanh); "
+        "with slow 1/2 softest at no torque at all (s(u) = sign(u) (1 - exp(-|u|))), with slow 1 a stiffness that goes on "
+        "growing (s = asinh). The compliance never rises with the torque; what is softer over less than 3 % of the rated torque "
+        "is play. Missing, the residual is odd and nonlinear in the torque of one axis, shifted by its gravity preload."
     )
     family = Family.TORQUE_LAW
     needs = ("load",)
@@ -50,7 +52,7 @@ class JointStiffening(Effect):
         return (
             *axes,
             Parameter("x_0", "share of rated torque", 0.15, WIDEST, 3.0, start=0.15, grid=FRACTIONS_OF_RATED),
-            Parameter("slow", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0)),
+            Parameter("slow", "0, 1/2 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 0.5, 1.0), kinds=True),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
@@ -65,7 +67,7 @@ class JointStiffening(Effect):
 
     def _columns(self, scene: Scene, fraction: float, slow: float) -> Array:
         x_0 = fraction * rated_torque(scene.robot)
-        saturating = np.arcsinh if slow >= 0.5 else np.tanh
+        saturating = saturation(slow)
 
         # what answers to a hose answers by the loaded gear already, which is the linear part
         before, acting = scene.preload(), scene.tau_acting + scene.tau_gravity
@@ -79,6 +81,16 @@ class JointStiffening(Effect):
         return _Stiffening(scene, theta)
 
 
+def saturation(slow: float) -> Callable[[Array], Array]:
+    """s: how the soft part of a gear's deflection ends with x / x_0, from soon (slow 0) to never (1)."""
+    return np.tanh if slow < 0.25 else _cusp if slow <= 0.75 else np.arcsinh
+
+
+def _cusp(u: Array) -> Array:
+    out: Array = -np.sign(u) * np.expm1(-np.abs(u))
+    return out
+
+
 class _Stiffening(ColumnLaw):
     needs_gravity = True
 
@@ -87,7 +99,7 @@ class _Stiffening(ColumnLaw):
         self._a = np.zeros(scene.n_joints)
         self._a[scene.driven] = theta[:-2]
         self._x_0 = theta[-2] * rated_torque(scene.robot)
-        self._s = np.arcsinh if theta[-1] >= 0.5 else np.tanh
+        self._s = saturation(theta[-1])
         self.springs = Springs(tuple((c, c, float(a)) for c, a in zip(self.columns, self._a, strict=True)))
 
     def displacement(self, tick: Tick, tau: Array) -> Array:

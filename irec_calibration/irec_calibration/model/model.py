@@ -22,7 +22,7 @@ EIGHTEEN_DOF = ("joint_torsion", "link_bending")
 GEOMETRIC = ("station_pose", "marker_position", "geometry_error")  # where absolute sessions start from
 
 
-NO_UNIT = ("1", "0 or 1")
+NO_UNIT = ("1", "0 or 1", "0, 1/2 or 1")
 PULL_STEP = 1e-3  # of the scale of a pull, for derivatives
 MOST_SAG = 1.5  # times what the masses of a robot description say
 
@@ -216,12 +216,17 @@ def apply_wrench_effects(terms: Sequence[Term], scene: Scene) -> Scene:
 def displacement_of(term: Term, scene: Scene) -> Array:
     """Displacement of the observed point by one term, (n, 3), m."""
     moved = _moved(term, scene)
-    return moved + scene.view.sags * _sag(term, scene) if term.effect.elastic and scene.view.sags else moved
+    return moved + scene.view.sags * _sag(term, scene) if scene.view.sags and _bends(term, scene) else moved
 
 
 def _moved(term: Term, scene: Scene) -> Array:
     theta = term.theta(parameters_of(term.effect, scene))
     return displacement_at(term.effect, theta, scene) if is_kept(term.effect, scene) else term.effect.displacement(scene, theta)
+
+
+def _bends(term: Term, scene: Scene) -> bool:
+    """Whether a term is a spring, or the part that the spring of a gear has less where teeth carry."""
+    return term.effect.elastic or any(p.takes_from for p in parameters_of(term.effect, scene))
 
 
 def _sag(term: Term, scene: Scene) -> Array:
@@ -241,7 +246,7 @@ def _sag(term: Term, scene: Scene) -> Array:
 def sag_of(terms: Sequence[Term], scene: Scene) -> Array | None:
     """What the springs of a model give way more under the weight of the arm than at the reference of each row, all of it,
     (n, 3), m; None where a session of this kind does not see it."""
-    springs = [t for t in terms if t.effect.elastic]
+    springs = [t for t in terms if _bends(t, scene)]
     if scene.kind != "loaded" or scene.instruments.by_contact or not springs:
         return None
     return sum((_sag(t, scene) for t in springs), np.zeros((len(scene), 3)))
@@ -302,7 +307,7 @@ def with_pull(terms: Sequence[Term], scene: Scene) -> Scene:
     if not pulls:
         return scene
     wrenches = [t.effect.pull(scene, t.theta(parameters_of(t.effect, scene))) for t in pulls]
-    return replace(scene, tau_unseen=sum(Load(scene.arm, *wrench).tau for wrench in wrenches))
+    return replace(scene, tau_unseen=np.sum([Load(scene.arm, *wrench).tau for wrench in wrenches], axis=0))
 
 
 def displacements(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) -> dict[str, Array]:

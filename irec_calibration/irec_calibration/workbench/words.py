@@ -10,6 +10,7 @@ import numpy as np
 
 from ..identification.validation import rms
 from ..lengths import length
+from ..model import NO_UNIT
 from ..report.addition import probability
 from ..typing import Array, BoolArray
 from .plain import ParameterEntry, SessionView, Version
@@ -27,7 +28,7 @@ def number(value: float, digits: int = 3) -> str:
 
 def scaled(p: ParameterEntry) -> tuple[float, str]:
     """Factor and unit in which a parameter of rad or m is a number of usual size: urad/(N m) rather than 1e-6 rad/(N m)."""
-    if p.unit in ("1", "0 or 1", "by formula"):
+    if p.unit in (*NO_UNIT, "by formula"):
         return 1.0, ""
     size = max(abs(p.value), p.se if math.isfinite(p.se) else 0.0)
     if p.unit.split("/")[0] in ("rad", "m") and 0.0 < size < 0.1:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gear carries what a hose pulls too: friction, play and stiffening answer to the whole torque, and no part counts twice."""
+"""Gears carry weight and what hoses pull too: friction, play and stiffening answer to the whole torque, no part counts twice."""
 
 from __future__ import annotations
 
@@ -75,6 +75,22 @@ def test_what_gears_make_of_a_hose_is_part_of_the_derivative_by_its_force(law: s
         sides = [total_displacement(pulled(law, tuple(np.array(PULL) + s)), scene) for s in (step, -step)]
         slope = (sides[0] - sides[1]) / (2.0 * h)
         np.testing.assert_allclose(found[:, :, names.index(name)], slope, atol=2e-3 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("slow", [0.0, 0.5, 1.0])
+def test_a_stiffening_gear_sags_under_the_weight_by_the_law_of_its_torque(slow: float, scene: Scene) -> None:
+    weight, x_0 = scene.tau_gravity[:, AXIS], BREAK * rated_torque(scene.robot)[AXIS]
+    terms = [term("joint_torsion", {f"c_{AXIS + 1}": SOFT}), term("joint_stiffening", LAWS["joint_stiffening"] | {"slow": slow})]
+
+    def turned(tau: np.ndarray) -> np.ndarray:
+        u = tau / x_0
+        soft = {0.0: np.tanh(u), 0.5: np.sign(u) * (1.0 - np.exp(-np.abs(u))), 1.0: np.arcsinh(u)}[slow]
+        return SOFT * tau + HARDENS * (tau - x_0 * soft)
+
+    sags = replace(scene, view=replace(scene.view, sags=True))
+    sagged = scene.change(total_displacement(terms, sags) - total_displacement(terms, scene))
+    expected = scene.change(scene.J[:, :, AXIS] * turned(weight)[:, None])
+    np.testing.assert_allclose(sagged, expected, rtol=1e-7, atol=1e-12)
 
 
 def test_without_a_hose_nothing_pulls(scene: Scene) -> None:
