@@ -110,7 +110,8 @@ def rivals_of(
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final) + more
             raw = min(odds, by_themselves - by_rival + more)
             # an arm that tilts or bends gives way in its gears too: without these it is named only where they explain far less
-            share = settings.share_of_form if law else settings.share_beside if other == term.effect.beside else 0.0
+            beside = settings.share_beside if other == term.effect.beside else 0.0
+            share = (settings.share_of_form if by_step else settings.share_between_laws) if law else beside
             counts = as_they_count(raw, by_themselves - by_none, share)
             # what has no name may tell them apart no better than they do themselves
             if odds < settings.nats_to_name or counts < settings.nats_over_rival:

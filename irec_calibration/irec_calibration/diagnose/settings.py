@@ -174,6 +174,10 @@ class Settings(Thresholds):
         0.03, "share of evidence", "of the nonparametric structures that a name replaces, that it must bring more than they do",
         "polynomials of the generic family lose that much where they stand for a cause of another form",
     )  # fmt: skip
+    share_between_laws: float = threshold(
+        0.06, "share of evidence", "of a law of an axis' torque, that it must bring more than another such law in its place",
+        "on two simulators the wrong one of play and stiffening was preferred by up to 8 %, the right one by 11 % and more",
+    )  # fmt: skip
     share_beside: float = threshold(
         0.25, "share of evidence", "that a base or links bring more than the gears (`Effect.beside`) to be named without them",
         "chosen; a base was named on a measured robot whose gears explain as much",

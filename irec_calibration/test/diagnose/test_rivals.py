@@ -10,8 +10,8 @@ from irec_calibration.diagnose.settings import SETTINGS
 
 @pytest.mark.parametrize("own", [10.0, 100.0])
 def test_two_laws_of_torque_need_more_to_be_told_apart_the_stronger_they_show(own: float) -> None:
-    least = SETTINGS.nats_over_rival + SETTINGS.share_of_form * own
-    short, enough = (as_they_count(least + more, own, SETTINGS.share_of_form) for more in (-0.1, 0.1))
+    least = SETTINGS.nats_over_rival + SETTINGS.share_between_laws * own
+    short, enough = (as_they_count(least + more, own, SETTINGS.share_between_laws) for more in (-0.1, 0.1))
     assert short < SETTINGS.nats_over_rival < enough
 
 
@@ -21,4 +21,4 @@ def test_odds_over_an_effect_of_another_kind_count_as_they_are() -> None:
 
 @pytest.mark.parametrize("odds", [-1.0, 0.005, 3.0])
 def test_the_likelier_of_two_laws_is_named_first(odds: float) -> None:
-    assert (as_they_count(odds, 100.0, SETTINGS.share_of_form) > 0.0) == (odds > 0.0)
+    assert (as_they_count(odds, 100.0, SETTINGS.share_between_laws) > 0.0) == (odds > 0.0)
