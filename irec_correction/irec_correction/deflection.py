@@ -189,7 +189,9 @@ class Deflection:
         rotation = np.array([wx, wy, wz])
         if self._user is not None:
             response = self._response(elastic) if self._user.needs_elastic else None
-            moved, turned = self._user.displacement(q, force_in_tool, torque_in_tool, rail_position, response)
+            moved, turned = self._user.displacement(
+                q, force_in_tool, torque_in_tool, rail_position, response, tick.tau_unseen
+            )
             translation += moved
             rotation += turned
         return translation, rotation

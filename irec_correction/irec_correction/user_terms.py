@@ -25,18 +25,20 @@ class UserTerms:
         self.needs_elastic = any(effect.needs_elastic for effect, _ in self._terms)
 
     def displacement(
-        self, q: Array, force_in_tool: Array, torque_in_tool: Array, rail_position: float, elastic: ElasticResponse | None
-    ) -> tuple[Array, Array]:
+        self, q: Array, force_in_tool: Array, torque_in_tool: Array, rail_position: float, elastic: ElasticResponse | None,
+        tau_unseen: Array,
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Translation (3,), m, and rotation (3,), rad, of the tool by these terms against the unloaded robot, in base_link.
 
         Args:
             q: (k,), rad. force_in_tool, torque_in_tool: that act at the TCP, (3,), N and N m.
             elastic: how the springs of the model answer in each of the rows, where a term asks for it.
+            tau_unseen: torque about the actuated axes of what pulls and no sensor reads, (k,), N m.
         """
         stands = self._model.standing(at(self._scene, q, rail_position))
         points = stands.seen_at(stands.p_tcp + np.tile(POINTS, (2, 1)))
         here = points.with_wrench(np.outer(LOADED, force_in_tool), np.outer(LOADED, torque_in_tool))
-        scene = replace(here, elastic=elastic)
+        scene = replace(here, elastic=elastic, tau_unseen=np.outer(LOADED, tau_unseen))
         u = sum((effect.displacement(scene, theta) for effect, theta in self._terms), np.zeros((ROWS, 3)))
         caused = u[LOADED == 1] - u[LOADED == 0]
         x, y, z = caused[1:] - caused[0]  # u(p + e) - u(p) = rotation x e

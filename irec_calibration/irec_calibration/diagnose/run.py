@@ -128,7 +128,7 @@ def examine(
         comparison=comparison,
         verdict=verdict_of(assessment, shown, candidates, comparison, planned),
         candidates=candidates,
-        skipped=built.skipped,
+        skipped={i: why for i, why in built.skipped.items() if i not in {c.effect for c in candidates}},
         where=where,
         next_measurements=planned,
         flexible_gain_m=assessment.flexible.gain_m,
@@ -151,8 +151,6 @@ def _candidates(assessment: Assessment, readings: Readings | None, check: Callab
     for trial in built.trials:
         check()
         if trial.effect.id == READ_AT_REFERENCES.id:
-            if readings is not None:
-                out.append(_weight_candidate(trial, readings, base))
             continue
         known = exact.get(trial.effect.id)
         added = {t.effect.id: t for t in assessment.study.terms if t.effect.id in assessment.added}
@@ -167,6 +165,8 @@ def _candidates(assessment: Assessment, readings: Readings | None, check: Callab
                 p_value(alone - luck), _plausible(term, study), _values(term),
             )
         )  # fmt: skip
+    if readings is not None:  # whether the differences have it or, in readings at one and the same joint angles, not at all
+        out.append(_weight_candidate(readings, base))
     out += [_beside_others(i, assessment) for i in assessment.added if i not in {c.effect for c in out}]
     order = _ranking(assessment)
     out.sort(key=lambda c: (order.get(c.effect, len(order)), -c.log_evidence))
@@ -207,9 +207,9 @@ def _confusable(one: Candidate, assessment: Assessment, all_of_them: Sequence[Ca
     return tuple(f"{i}:{parts[i][0]}" if len(parts.get(i, ())) == 1 else i for i in dict.fromkeys(rivals))
 
 
-def _weight_candidate(trial: Trial, readings: Readings, base: HeldOut) -> Candidate:
+def _weight_candidate(readings: Readings, base: HeldOut) -> Candidate:
     unit = {"value": readings.mass, "se": readings.mass_se, "unit": "kg"}
-    term = Term(trial.effect, {"dm": Estimate(readings.mass, readings.mass_se, "kg", -500.0, 500.0)})
+    term = Term(READ_AT_REFERENCES, {"dm": Estimate(readings.mass, readings.mass_se, "kg", -500.0, 500.0)})
     p = p_value(readings.log_evidence)
     plausible = abs(readings.mass) < 100.0
     return Candidate(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,6 +14,7 @@ from irec_calibration.diagnose import start_terms
 from irec_calibration.diagnose.candidates import try_effect
 from irec_calibration.diagnose.explanation import Explanation, implausible, shown_by_readings
 from irec_calibration.diagnose.family import family_of
+from irec_calibration.diagnose.improve import improve
 from irec_calibration.diagnose.naming import odds_of
 from irec_calibration.diagnose.readings import along_readings, by_readings, carried
 from irec_calibration.diagnose.remainder import grow
@@ -20,6 +22,7 @@ from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.shape import refit
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from irec_calibration.model import Estimate, Term
 from numpy.typing import NDArray
@@ -138,3 +141,14 @@ def test_no_structure_is_a_rival_of_what_readings_carry() -> None:
     bare = Explanation((), prepare(study.session, start_terms(study.session)).to_weigh, 3.0, one.remainder)
     along = along_readings(bare.study, fitted.effect)
     assert odds_of(bare, one, bare, "tracker_scale", family, SETTINGS) == pytest.approx(max(17.0, along) + shown)
+
+
+def test_a_wrong_tool_weight_is_in_the_improved_model_where_no_joint_moves_between_reference_and_load() -> None:
+    measured = synthetic.session(poses=12, seed=3, approach=0.0)
+    scene = scene_of(measured)
+    too_much = 5.0 * np.einsum("nji,j->ni", scene.kin.R_tool, scene.gravity_in_base)
+    ladder = improve(replace(measured, force_in_tool=measured.force_in_tool + too_much))
+    weight = ladder.model.terms[-1]
+    assert weight.effect.id == "tool_weight" and weight.estimates["dm"].value == pytest.approx(5.0, abs=0.1)
+    assert "tool_weight" in ladder.before.verdict.effects
+    assert "tool_weight" not in ladder.before.skipped
