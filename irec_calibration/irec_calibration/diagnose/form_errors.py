@@ -68,7 +68,8 @@ def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
     """
     block, study = one.remainder.block, one.study
     x = study.bench.posterior(block).x
-    ground = _ground(one)
+    rest = [i for i, owner in enumerate(study.owners) if owner not in one.ids]
+    ground = Ground(study.bench, study.base.take(rest))
     at = study.base.A.shape[1]
     moved = []
     for part in one.remainder.parts:
@@ -77,7 +78,9 @@ def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
         if not part.structure.is_bad_row:
             moved.append((part, ground.beside(block.A[:, own] @ x[own])))
     out = {}
-    for effect_id, mine in _moved(one, ground, x).items():
+    for effect_id in one.ids:
+        columns = [i for i, owner in enumerate(study.owners) if owner == effect_id]
+        mine = ground.beside(block.A[:, columns] @ x[columns])
         forms = forms_of(one.term(effect_id), one.study.ready)
         passes = one.term(effect_id).effect.family is Family.TIME
         others = [(p, v) for p, v in moved if not forms.has(p.structure)]
@@ -86,23 +89,6 @@ def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
             for p, v in others
         )
     return out
-
-
-def moved_beside(one: Explanation) -> dict[str, Array]:
-    """Whitened displacement of each name beside everything that is in the model without names."""
-    x = one.study.bench.posterior(one.remainder.block).x
-    return _moved(one, _ground(one), x)
-
-
-def _ground(one: Explanation) -> Ground:
-    unnamed = [i for i, owner in enumerate(one.study.owners) if owner not in one.ids]
-    return Ground(one.study.bench, one.study.base.take(unnamed))
-
-
-def _moved(one: Explanation, ground: Ground, x: Array) -> dict[str, Array]:
-    owners = one.study.owners
-    columns = {effect_id: [i for i, owner in enumerate(owners) if owner == effect_id] for effect_id in one.ids}
-    return {effect_id: ground.beside(one.study.base.A[:, own] @ x[own]) for effect_id, own in columns.items()}
 
 
 def _cosine(a: Array, b: Array) -> float:

@@ -137,8 +137,8 @@ class Settings(Thresholds):
         "an effect whose form is not quite right leaves 1 % of its square to be explained by another",
     )  # fmt: skip
     share_of_second_law: float = threshold(
-        0.1, "share of squares",
-        "of what play or stiffening of an axis explains, that the other of the same axis must explain to be named beside it",
+        0.1, "share of evidence",
+        "of play or stiffening of an axis without the other, that the other of the same axis must bring to be named beside it",
         "a form that is a third off: gears follow neither exactly, and the second may only mend the first",
     )  # fmt: skip
     form_error: float = threshold(

@@ -12,7 +12,7 @@ import numpy as np
 
 from .explanation import Explanation, everywhere, in_one_pose, shown_by_readings, without
 from .family import Family
-from .form_errors import evidence_beside, feigned, moved_beside
+from .form_errors import evidence_beside, feigned
 from .forms import bends, has_form_of
 from .naming import needed, odds_of
 from .readings import against
@@ -62,7 +62,7 @@ def standing(start: Explanation, one: Explanation, family: Family, settings: Set
     while one.added:
         bare = {i: without(start, one, i, family) for i in one.ids}
         evidence = {i: odds_of(start, one, b, i, family, settings) for i, b in bare.items()}
-        weak = _weak(start, one, bare, evidence, settings)
+        weak = _weak(start, one, bare, evidence, family, settings)
         if not weak:
             most = min(most, one.remainder.without_a_name)
             weak = [i for i in one.ids if outweighed(one, bare, evidence, i, settings, most)]
@@ -85,14 +85,15 @@ def all_stand(start: Explanation, one: Explanation, family: Family, settings: Se
         evidence[i] = odds_of(start, one, bare[i], i, family, settings)
         if evidence[i] < _least(one, i, left, settings):
             return {}
-    weak = _weak(start, one, bare, evidence, settings)
+    weak = _weak(start, one, bare, evidence, family, settings)
     fall = weak or any(outweighed(one, bare, evidence, i, settings) or against(one.study, one.term(i)) for i in one.ids)
     return {} if fall else evidence
 
 
 def _weak(
-    start: Explanation, one: Explanation, bare: dict[str, Explanation], evidence: dict[str, float], settings: Settings
-) -> list[str]:
+    start: Explanation, one: Explanation, bare: dict[str, Explanation], evidence: dict[str, float], family: Family,
+    settings: Settings,
+) -> list[str]:  # fmt: skip
     """Names of a model whose evidence is too small.
 
     Args:
@@ -105,7 +106,9 @@ def _weak(
     return [
         i
         for i in one.ids
-        if evidence[i] < least[i] or _beside_larger(one, i, share, settings) < least[i] or _mends(one, i, settings)
+        if evidence[i] < least[i]
+        or _beside_larger(one, i, share, settings) < least[i]
+        or _mends(start, one, bare[i], i, family, settings)
     ]
 
 
@@ -144,15 +147,22 @@ def _least(one: Explanation, effect_id: str, left: dict[str, float], settings: S
     return needed(one, effect_id, settings) + (0.0 if surely else left[effect_id])
 
 
-def _mends(one: Explanation, effect_id: str, settings: Settings) -> bool:
-    """Whether a law of torque moves the arm by little beside another one of the same axes: it may only mend that one's form."""
+def _mends(
+    start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings
+) -> bool:
+    """Whether a law of torque explains little beside another one of the same axes: it may only mend that one's form.
+
+    Args:
+        bare: the model without it.
+    """
     laws = {t.effect.id: bends(t, one.study.ready) for t in one.added if not t.effect.by_angle}
     mine = laws.get(effect_id)
-    others = [i for i, axes in laws.items() if mine and i != effect_id and mine <= axes]
-    if not others:
-        return False
-    moved = {i: float((v**2).sum()) for i, v in moved_beside(one).items()}
-    return any(moved[effect_id] < settings.share_of_second_law * moved[i] for i in others)
+    for other, axes in laws.items():
+        if mine and other != effect_id and mine <= axes:
+            first = bare.named - without(start, bare, other, family).named
+            if one.named - bare.named < settings.share_of_second_law * first:
+                return True
+    return False
 
 
 def _beside_larger(one: Explanation, effect_id: str, share: dict[str, float], settings: Settings) -> float:

@@ -6,7 +6,6 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from irec_calibration.diagnose import build, standing
 from irec_calibration.diagnose.rivals import Rivals
@@ -122,18 +121,17 @@ def test_what_an_outweighed_name_explained_is_no_unknown_cause_beside_the_others
 
 
 @pytest.mark.parametrize(
-    ("axes_of_play", "moved", "mends"),
-    [((2,), 0.2, True), ((2,), 0.4, False), ((2, 3), 0.2, False), ((4,), 0.2, False)],  # squares: 0.04, 0.16
+    ("axes_of_play", "brings", "mends"),
+    [((2,), 40.0, True), ((2,), 60.0, False), ((2, 3), 40.0, False), ((4,), 40.0, False)],
 )
-def test_a_second_law_of_torque_that_moves_the_same_axis_by_little_only_mends_the_first(
-    monkeypatch: pytest.MonkeyPatch, axes_of_play: tuple[int, ...], moved: float, mends: bool
+def test_a_second_law_of_torque_that_explains_little_beside_one_of_the_same_axis_only_mends_the_first(
+    monkeypatch: pytest.MonkeyPatch, axes_of_play: tuple[int, ...], brings: float, mends: bool
 ) -> None:
     stiffens = SimpleNamespace(effect=find_effect("joint_stiffening"), axes=frozenset({2}))
     play = SimpleNamespace(effect=find_effect("joint_backlash"), axes=frozenset(axes_of_play))
     monkeypatch.setattr(standing, "bends", lambda term, scene: term.axes)
-    monkeypatch.setattr(
-        standing, "moved_beside", lambda one: {"joint_stiffening": np.array([1.0]), "joint_backlash": np.array([moved])}
-    )
-    one: Any = SimpleNamespace(added=(stiffens, play), study=SimpleNamespace(ready=None))
-    assert standing._mends(one, "joint_backlash", SETTINGS) == mends
-    assert not standing._mends(one, "joint_stiffening", SETTINGS)
+    monkeypatch.setattr(standing, "without", lambda *_: SimpleNamespace(named=0.0))
+    one: Any = SimpleNamespace(added=(stiffens, play), study=SimpleNamespace(ready=None), named=500.0 + brings)
+    bare: Any = SimpleNamespace(named=500.0)  # what the first law explains alone
+    family: Any = None
+    assert standing._mends(family, one, bare, "joint_backlash", family, SETTINGS) == mends
