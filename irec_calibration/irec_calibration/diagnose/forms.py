@@ -81,6 +81,14 @@ def bends(term: Term, scene: Scene) -> frozenset[int]:
     return frozenset() if "order" in term.effect.needs else forms_of(term, scene).axes
 
 
+def courses(term: Term, scene: Scene) -> frozenset[str]:
+    """Variables, time or temperatures, that a drift follows."""
+    if not forms_of(term, scene).drifts:
+        return frozenset()
+    groups = {p.group for p in term.effect.parameters(scene) if p.name in term.estimates}
+    return frozenset("stamp" if g == "time" else g for g in groups if g == "time" or g.startswith("temp_"))
+
+
 def _axes(term: Term, scene: Scene) -> frozenset[int]:
     own = term.effect.parameters(scene)
     return frozenset(p.axis for p in own if p.axis is not None and p.name in term.estimates)

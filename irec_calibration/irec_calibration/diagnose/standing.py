@@ -13,7 +13,7 @@ import numpy as np
 from .explanation import Explanation, everywhere, in_one_pose, shown_by_readings, without
 from .family import Family
 from .form_errors import evidence_beside, feigned
-from .forms import bends, has_form_of
+from .forms import bends, courses, has_form_of
 from .naming import needed, odds_of
 from .readings import against
 from .remainder import Part
@@ -109,6 +109,7 @@ def _weak(
         if evidence[i] < least[i]
         or _beside_larger(one, i, share, settings) < least[i]
         or _mends(start, one, bare[i], i, family, settings)
+        or _part_of_another(one, bare[i], i, settings)
     ]
 
 
@@ -163,6 +164,19 @@ def _mends(
             if one.named - bare.named < settings.share_of_second_law * first:
                 return True
     return False
+
+
+def _part_of_another(one: Explanation, bare: Explanation, effect_id: str, settings: Settings) -> bool:
+    """Whether beside a drift much goes with the load and what the drift follows: that is one cause, such as gears that soften as
+    they warm up, and not that drift.
+
+    Args:
+        bare: the model without it.
+    """
+    follows = courses(one.term(effect_id), one.study.ready)
+    rest = [p for p in one.remainder.structures if not p.structure.is_drift]
+    other = sum(p.log_evidence for p in rest if follows & {*p.structure.variables})
+    return bool(other > settings.share_of_same_course * (one.named - bare.named))
 
 
 def _beside_larger(one: Explanation, effect_id: str, share: dict[str, float], settings: Settings) -> float:

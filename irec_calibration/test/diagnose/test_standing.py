@@ -10,7 +10,7 @@ import pytest
 from irec_calibration.diagnose import build, standing
 from irec_calibration.diagnose.rivals import Rivals
 from irec_calibration.diagnose.settings import SETTINGS
-from irec_calibration.effects import find_effect
+from irec_calibration.effects import Parameter, find_effect
 
 
 @pytest.fixture
@@ -135,3 +135,30 @@ def test_a_second_law_of_torque_that_explains_little_beside_one_of_the_same_axis
     bare: Any = SimpleNamespace(named=500.0)  # what the first law explains alone
     family: Any = None
     assert standing._mends(family, one, bare, "joint_backlash", family, SETTINGS) == mends
+
+
+@pytest.mark.parametrize(
+    ("variables", "drifts", "left", "falls"),
+    [
+        (("temp_gear_2", "tau_2"), False, 50.0, True),
+        (("temp_gear_2", "tau_2"), False, 20.0, False),
+        (("temp_gear_2",), True, 50.0, False),  # another form of the same drift
+        (("temp_ambient", "tau_2"), False, 50.0, False),
+        (("stamp", "tau_2"), False, 50.0, False),
+    ],
+)
+def test_a_drift_beside_a_load_that_goes_with_the_same_temperature_is_no_drift(
+    variables: tuple[str, ...], drifts: bool, left: float, falls: bool
+) -> None:
+    drift = find_effect("thermal_drift")
+    parameters = (Parameter("v_x", "m/s", 1.0, group="time"), Parameter("k_gear_2_x", "m/K", 1.0, group="temp_gear_2"))
+    term = SimpleNamespace(
+        effect=SimpleNamespace(cause=drift.cause, family=drift.family, parameters=lambda scene: parameters),
+        estimates={"k_gear_2_x": None},
+    )
+    part = SimpleNamespace(structure=SimpleNamespace(is_drift=drifts, variables=variables), log_evidence=left)
+    one: Any = SimpleNamespace(
+        named=100.0, remainder=SimpleNamespace(structures=(part,)), study=SimpleNamespace(ready=None), term=lambda i: term
+    )
+    bare: Any = SimpleNamespace(named=0.0)
+    assert standing._part_of_another(one, bare, "thermal_drift", SETTINGS) == falls
