@@ -173,8 +173,8 @@ class Deflection:
                 dq += form.displacement(tick, elastic, self._at_tcp(J @ elastic)[0])
             tick.tau_unseen[:] = 0.0
             for pull, columns in self._pulls:
-                tick.directions = J[3:, columns]
-                unseen = J.T @ self._at_base(pull.force(tick, chain.p_tcp, R), pull.torque(tick, R))
+                tick.directions, tick.moments = J[3:, columns], J[:3, columns]
+                unseen = J.T @ self._at_base(pull.force(tick, chain.p_tcp, R), pull.torque(tick, chain.p_tcp, R))
                 tick.tau_unseen += unseen[tick.drives]
                 dq += self._answer(unseen)
         else:

@@ -30,8 +30,9 @@ class ExternalForce(Effect):
     physics = (
         "Dress pack, hoses and cables pull at the tool with a force that the sensor does not see and that is not the same "
         "at the reference and under load: J C J^T f_0. Parts of the family: constant in base_link or in tool0; drawn towards a "
-        "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); constant in the frame of the "
-        "forearm, where the hose is fixed there; turning with a wrist axis; and a torque, since it does not pull at the TCP. "
+        "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); both of these at the wrist, "
+        "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
+        "wrist axis; and a torque, since it does not pull at the TCP. "
         "Missing, the residual is there whatever the process force and depends on the pose only. In a loaded session a force "
         "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload of "
         "another mass."
@@ -45,18 +46,22 @@ class ExternalForce(Effect):
         def pull(name: str, group: str) -> Parameter:
             return Parameter(name, "N", 20.0, plausible=(-1000.0, 1000.0), group=group)
 
-        stiffness = Parameter("k", "N/m", 20.0 / typical_reach(scene), 0.0, plausible=(0.0, 2000.0), group="towards a point")
+        def stiffness(name: str, group: str) -> Parameter:
+            return Parameter(name, "N/m", 20.0 / typical_reach(scene), 0.0, plausible=(0.0, 2000.0), group=group)
+
         largest = 1000.0 * AT_FLANGE
         return (
             *(pull(f"f_{a}", "constant") for a in AXES),
             *(pull(f"f_{a}_tool", "with the tool") for a in AXES),
-            stiffness,
+            stiffness("k", "towards a point"),
             *(pull(f"f_{a}_{t}{k + 1}", f"with axis {k + 1}") for k in _wrist(scene) for t in ("sin", "cos") for a in AXES),
             *(pull(f"f_{d}_forearm", "with the forearm") for d in FOREARM),
             *(
                 Parameter(f"m_{a}_tool", "N m", 20.0 * AT_FLANGE, plausible=(-largest, largest), group="beside the TCP")
                 for a in AXES
             ),
+            *(pull(f"f_{a}_wrist", "at the wrist") for a in AXES),
+            stiffness("k_wrist", "at the wrist, towards a point"),
         )
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
@@ -70,7 +75,12 @@ class ExternalForce(Effect):
         k = _forearm(scene)
         frame = np.concatenate([scene.kin.axis[:, k, None], scene.kin.virtual_axis[:, k]], axis=1)
         with_forearm = np.einsum("nij,ndj->nid", in_base, frame)
-        return np.concatenate([in_base, in_tool, towards, *by_wrist, with_forearm, by_torque], axis=2)
+        p_wrist = scene.kin.origin[:, _wrist_centre(scene)]
+        lever = p_wrist - scene.p_tcp
+        moments = np.stack([np.cross(lever, e) for e in np.eye(3)], axis=2)  # of each unit force in base_link
+        at_wrist = in_base + np.einsum("nij,nkj,nkl->nil", by_torque, scene.kin.R_tool, moments)
+        towards_wrist = -np.einsum("nij,nj->ni", at_wrist, p_wrist)[:, :, None]
+        return np.concatenate([in_base, in_tool, towards, *by_wrist, with_forearm, by_torque, at_wrist, towards_wrist], axis=2)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         constant = [f"f_{a}" for a in AXES]
@@ -95,7 +105,7 @@ class ExternalForce(Effect):
         return force, torque
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
-        return _Pull(theta, _wrist(scene), _forearm(scene))
+        return _Pull(theta, _wrist(scene), _forearm(scene), _wrist_centre(scene))
 
 
 def _unit(rows: int, part: int) -> ElasticResponse:
@@ -114,22 +124,45 @@ def _forearm(scene: Scene) -> int:
     return max(_wrist(scene)[0] - 1, 0)
 
 
+def _wrist_centre(scene: Scene) -> int:
+    """The joint whose origin is where the axes of a wrist meet."""
+    wrist = _wrist(scene)
+    return wrist[len(wrist) // 2]
+
+
 class _Pull(Pull):
-    def __init__(self, theta: Array, wrist: list[int], forearm: int) -> None:
+    def __init__(self, theta: Array, wrist: list[int], forearm: int, centre: int) -> None:
         self._constant, self._in_tool, self._k = theta[:3], theta[3:6], float(theta[6])
         end = 7 + 6 * len(wrist)
         self._by_wrist, self._wrist = theta[7:end].reshape(-1, 3), wrist
-        self._by_forearm, self._torque_in_tool = theta[end : end + 3], theta[end + 3 :]
-        if self._by_forearm.any():
-            self.columns = tuple(f"joint_{forearm + 1}{side}" for side in ("", "a", "b"))
+        self._by_forearm, self._torque_in_tool = theta[end : end + 3], theta[end + 3 : end + 6]
+        self._at_wrist, self._k_wrist = theta[end + 6 : end + 9], float(theta[end + 9])
+        joints = [forearm] * bool(self._by_forearm.any()) + [centre] * bool(self._at_wrist.any() or self._k_wrist)
+        self.columns = tuple(f"joint_{k + 1}{side}" for k in joints for side in ("", "a", "b"))
+        self._has_forearm, self._has_wrist = forearm in joints, centre in joints
 
     def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
         weights = [w for k in self._wrist for w in (math.sin(tick.q[k]), math.cos(tick.q[k]))]
         out: Array = self._constant + R_tool @ self._in_tool - self._k * p_tcp + np.array(weights) @ self._by_wrist
-        if self.columns:
-            out += tick.directions @ self._by_forearm
+        if self._has_forearm:
+            out += tick.directions[:, :3] @ self._by_forearm
+        if self._has_wrist:
+            out += self._pull_of_wrist(self._p_wrist(tick))
         return out
 
-    def torque(self, tick: Tick, R_tool: Array) -> Array:
+    def torque(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
         out: Array = R_tool @ self._torque_in_tool
+        if self._has_wrist:
+            p_wrist = self._p_wrist(tick)
+            out += np.cross(p_wrist - p_tcp, self._pull_of_wrist(p_wrist))
+        return out
+
+    def _pull_of_wrist(self, p_wrist: Array) -> Array:
+        out: Array = self._at_wrist - self._k_wrist * p_wrist
+        return out
+
+    @staticmethod
+    def _p_wrist(tick: Tick) -> Array:
+        """From three columns a_i at right angles that turn about it: sum of a_i x (p x a_i) = 2 p."""
+        out: Array = 0.5 * np.cross(tick.directions[:, -3:], tick.moments[:, -3:], axis=0).sum(axis=1)
         return out

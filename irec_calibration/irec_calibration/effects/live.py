@@ -33,9 +33,10 @@ class Tick:
         dt: time since the tick before, s.
         rail_position: of the external axis, m.
         directions: unit vectors in base_link of the columns that a `Pull` asks for, (3, c).
+        moments: of these about the origin of base_link, p x direction, (3, c), m.
     """
 
-    __slots__ = ("directions", "drives", "dt", "q", "rail_position", "tau", "tau_gravity", "tau_unseen")
+    __slots__ = ("directions", "drives", "dt", "moments", "q", "rail_position", "tau", "tau_gravity", "tau_unseen")
 
     def __init__(self, n_joints: int) -> None:
         self.q = np.zeros(n_joints)
@@ -46,6 +47,7 @@ class Tick:
         self.dt = 0.0
         self.rail_position = 0.0
         self.directions = np.zeros((3, 0))
+        self.moments = np.zeros((3, 0))
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,7 @@ class Pull(ABC):
     """A force and torque at the TCP that no sensor reads; the springs of the model answer to it.
 
     Attributes:
-        columns: names of columns whose directions it reads (`tick.directions`).
+        columns: names of columns whose directions and moments it reads (`tick.directions`, `tick.moments`).
     """
 
     columns: tuple[str, ...] = ()
@@ -122,8 +124,8 @@ class Pull(ABC):
     def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
         """Force on the robot in base_link, (3,), N; `p_tcp` (3,), m, and `R_tool` (3, 3): tool0 in base_link."""
 
-    def torque(self, tick: Tick, R_tool: Array) -> Array:
-        """Torque on the robot in base_link, (3,), N m."""
+    def torque(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
+        """Torque on the robot about the TCP, in base_link, (3,), N m."""
         return np.zeros(3)
 
 
