@@ -93,6 +93,26 @@ def test_a_stiffening_gear_sags_under_the_weight_by_the_law_of_its_torque(slow: 
     np.testing.assert_allclose(sagged, expected, rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.parametrize("hose", [{"f_x_wrist": 80.0, "f_z_wrist": -60.0}, {"k_wrist": 120.0}])
+def test_a_hose_that_is_fixed_to_the_forearm_bends_the_arm_and_no_wrist_gear(hose: dict[str, float], scene: Scene) -> None:
+    def pulled(axes: tuple[int, ...]) -> float:
+        springs = term("joint_torsion", {f"c_{k}": 1e-6 for k in axes})
+        moved = total_displacement([springs, term("external_force", hose)], scene) - total_displacement([springs], scene)
+        return float(np.abs(moved).max())
+
+    by_arm, by_wrist = pulled((1, 2, 3)), pulled((4, 5, 6))
+    assert by_arm > 1e-5 and by_wrist < 1e-6 * by_arm
+
+
+def test_a_hose_at_the_wrist_pulls_there(scene: Scene) -> None:
+    springs = term("joint_torsion", {"c_2": 1e-6})
+    hose = term("external_force", {"f_x_wrist": 100.0})
+    pulled = total_displacement([springs, hose], scene) - total_displacement([springs], scene)
+    lever = scene.kin.origin[:, 4] - scene.kin.origin[:, 1]
+    torque = np.einsum("ni,ni->n", scene.kin.axis[:, 1], np.cross(lever, [100.0, 0.0, 0.0])) * scene.rows.under_load
+    np.testing.assert_allclose(pulled, scene.J[:, :, 1] * (1e-6 * torque)[:, None], atol=1e-12)
+
+
 def test_without_a_hose_nothing_pulls(scene: Scene) -> None:
     assert prepared(pulled("joint_backlash", (0.0, 0.0, 0.0)), scene).tau_unseen is None
     assert prepared(pulled("joint_backlash")[:2], scene).tau_unseen is None
