@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from math import isfinite, log, sqrt
 
 from ..effects import Axes, Evidence
-from ..model import Term
-from ..model.model import displacements, prepared, total_displacement
+from ..model import Term, displacements, prepared, total_displacement
 from ..model.springs import ROWS_KEPT
 from .candidates import Trial, supported
 from .family import Family

@@ -12,8 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..effects import Family
-from ..model import Term
-from ..model.model import displacement_of
+from ..model import Term, displacement_of
 from ..typing import Array
 from .directions import shapes
 from .evidence import Block, Ground

@@ -16,8 +16,7 @@ import numpy as np
 from ..effects import Cause, Effect, Evidence, known_effects
 from ..effects.traits import Family
 from ..identification.observe import beyond_controller
-from ..model import Term
-from ..model.model import displacement_of
+from ..model import Term, displacement_of
 from ..typing import Array, IntArray
 from .evidence import Block
 from .lasting import LASTING, fitted, usually_beyond

@@ -1,20 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot and the effects that move its tool: prediction, regressors, model file."""
 
-from .model import (
-    EIGHTEEN_DOF,
-    GEOMETRIC,
-    MOST_SAG,
-    NO_UNIT,
-    SIX_DOF,
-    Combination,
-    Envelope,
-    Estimate,
-    Model,
-    Term,
+from .displacements import (
     apply_wrench_effects,
-    axis_compliances,
-    blank_model,
     displacement_of,
     displacements,
     elastic_response,
@@ -25,6 +13,8 @@ from .model import (
     total_displacement,
     with_pull,
 )
+from .model import EIGHTEEN_DOF, GEOMETRIC, MOST_SAG, SIX_DOF, Combination, Envelope, Model
+from .term import NO_UNIT, Estimate, Term, axis_compliances, blank_model
 
 __all__ = [
     "EIGHTEEN_DOF",

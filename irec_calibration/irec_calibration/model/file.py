@@ -18,7 +18,8 @@ from ..effects.formula import FormulaEffect
 from ..errors import EffectError, IrecError, ModelError
 from ..files import Document, open_document, read_bytes, read_document
 from ..robot import Robot
-from .model import Combination, Envelope, Estimate, Model, Term
+from .model import Combination, Envelope, Model
+from .term import Estimate, Term
 
 FORMAT = "irec-model/1"
 

@@ -18,7 +18,8 @@ from ..errors import ModelError
 from ..robot import Robot
 from .file import check_belongs
 from .largest import Predict, largest_prediction
-from .model import Envelope, Model, Term
+from .model import Envelope, Model
+from .term import Term
 
 # m; ten times the largest deviation of the paper's robots (2.05 mm): a wrong unit is beyond it, a soft robot is not
 LARGEST_OFFSET = 0.02

@@ -11,8 +11,7 @@ import pytest
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
-from irec_calibration.model import Estimate, Term, elastic_response
-from irec_calibration.model.model import displacements, regressors, total_displacement
+from irec_calibration.model import Estimate, Term, displacements, elastic_response, regressors, total_displacement
 from irec_calibration.model.springs import answer_of, displacement_at, is_kept, response_of
 from synthetic import session
 
