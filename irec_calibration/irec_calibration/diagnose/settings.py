@@ -175,8 +175,8 @@ class Settings(Thresholds):
         "polynomials of the generic family lose that much where they stand for a cause of another form",
     )  # fmt: skip
     share_between_laws: float = threshold(
-        0.06, "share of evidence", "of a law of an axis' torque, that it must bring more than another such law in its place",
-        "on two simulators the wrong one of play and stiffening was preferred by up to 8 %, the right one by 11 % and more",
+        0.05, "share of evidence", "of a law of an axis' torque, that it must bring more than another such law in its place",
+        "chosen on three simulators: the wrong one of play and stiffening was never preferred by this and 5 nats",
     )  # fmt: skip
     share_beside: float = threshold(
         0.25, "share of evidence", "that a base or links bring more than the gears (`Effect.beside`) to be named without them",
