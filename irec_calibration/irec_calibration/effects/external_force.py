@@ -83,7 +83,8 @@ class ExternalForce(Effect):
         return np.concatenate([in_base, in_tool, towards, *by_wrist, with_forearm, by_torque, at_wrist, towards_wrist], axis=2)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
-        constant = [f"f_{a}" for a in AXES]
+        at_tcp, at_wrist = [f"f_{a}" for a in AXES], [f"f_{a}_wrist" for a in AXES]
+        constant = at_wrist if at_wrist[0] in values else at_tcp
         if scene.kind != "absolute" or set(values) != set(constant):
             return ""
         force, errors = np.array([values[n] for n in constant]).T
@@ -92,6 +93,11 @@ class ExternalForce(Effect):
         if np.any(np.abs(force - along * down) > ACROSS * errors) or not along:
             return ""
         mass = along / max(float(np.linalg.norm(scene.gravity_in_base)), 1e-9)
+        if constant is at_wrist:
+            return (
+                f"a constant force along gravity at the wrist, {along:.3g} N, is no hose but a forearm that is {mass:+.3g} kg"
+                " from what the robot description states; check its masses, and what is mounted there"
+            )
         return (
             f"a constant force along gravity, {along:.3g} N, is no hose but a payload that is {mass:+.3g} kg from what the"
             " session states; check payload.mass"

@@ -83,6 +83,9 @@ def test_a_constant_force_along_gravity_is_refused_with_the_mass_that_it_stands_
     down = {"f_x": (0.1, 1.0), "f_y": (-0.2, 1.0), "f_z": (-19.62, 1.0)}
     assert "payload that is +2 kg from" in effect.why_impossible(down, {}, scene)
     assert not effect.why_impossible(down | {"f_x": (9.0, 1.0)}, {}, scene)
+    on_forearm = {f"{n}_wrist": v for n, v in down.items()}
+    assert "a forearm that is +2 kg" in effect.why_impossible(on_forearm, {}, scene)
+    assert not effect.why_impossible(on_forearm | {"k_wrist": (20.0, 1.0)}, {}, scene)
 
 
 @pytest.fixture(scope="module")
