@@ -42,9 +42,9 @@ class Readings:
 
 
 def reference_readings(scene: Scene, force_noise: float) -> Readings | None:
-    """Test the readings at the references of a loaded session; None where there are too few of them."""
+    """Test the readings at the references of a loaded session; None where there are too few of them, or nothing weighs."""
     rows = np.unique(scene.reference[scene.reference >= 0])
-    if len(rows) < SETTINGS.readings.fewest or force_noise <= 0.0:
+    if len(rows) < SETTINGS.readings.fewest or force_noise <= 0.0 or not np.any(scene.gravity_in_base):
         return None
     force = scene.force_in_tool[rows]
     weight = np.einsum("nji,j->ni", scene.kin.R_tool[rows], scene.gravity_in_base)

@@ -288,6 +288,10 @@ def test_a_wrong_tool_weight_shows_in_the_reference_readings() -> None:
     assert readings.mass == pytest.approx(3.0, abs=5.0 * readings.mass_se)
 
 
+def test_where_no_gravity_is_stated_the_reference_readings_say_nothing_of_a_weight() -> None:
+    assert reference_readings(scene_of(replace(session(), gravity_in_base=(0.0, 0.0, 0.0))), 1.0) is None
+
+
 def test_a_constant_bias_of_the_force_sensor_is_not_called_a_tool_weight() -> None:
     clean = session()
     readings = reference_readings(scene_of(replace(clean, force_in_tool=clean.force_in_tool + [0.0, 8.0, -3.0])), 1.0)
