@@ -124,6 +124,25 @@ def test_an_effect_of_the_user_reads_the_springs_of_the_model_live_too(q, loads)
     compare(Model((*terms, u)), np.array(q), loads)
 
 
+class Worn(Effect):
+    """A user's law of all that a gear carries."""
+
+    id = label = physics = "worn"
+
+    def parameters(self, scene):
+        return (Parameter("c", "rad/(N m)^3", 1e-13),)
+
+    def regressor(self, scene, theta):
+        return np.einsum("nik,nk->ni", scene.J, scene.tau_acting**3)[:, :, None]
+
+
+@settings(max_examples=12, deadline=None)
+@given(q=angles, loads=load_sequences())
+def test_an_effect_of_the_user_reads_what_hoses_pull_live_too(q, loads):
+    terms = model_of(*SPRINGS, "external_force").terms
+    compare(Model((*terms, Term(Worn(), {"c": Estimate(1e-15)}))), np.array(q), loads)
+
+
 @settings(max_examples=12, deadline=None)
 @given(q=angles)
 def test_beside_a_geometry_error_the_tool_is_where_the_controller_believes_it(q):

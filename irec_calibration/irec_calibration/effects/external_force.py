@@ -34,8 +34,8 @@ class ExternalForce(Effect):
         "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
         "wrist axis; and a torque, since it does not pull at the TCP. "
         "Missing, the residual is there whatever the process force and depends on the pose only. In a loaded session a force "
-        "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload of "
-        "another mass."
+        "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload, or "
+        "at the wrist a forearm, of another mass."
     )
     family = Family.SENSOR
     needs_elastic = True
@@ -61,7 +61,7 @@ class ExternalForce(Effect):
                 for a in AXES
             ),
             *(pull(f"f_{a}_wrist", "at the wrist") for a in AXES),
-            stiffness("k_wrist", "at the wrist, towards a point"),
+            stiffness("k_wrist", "at the wrist towards a point"),
         )
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
@@ -143,9 +143,9 @@ class _Pull(Pull):
         self._by_wrist, self._wrist = theta[7:end].reshape(-1, 3), wrist
         self._by_forearm, self._torque_in_tool = theta[end : end + 3], theta[end + 3 : end + 6]
         self._at_wrist, self._k_wrist = theta[end + 6 : end + 9], float(theta[end + 9])
-        joints = [forearm] * bool(self._by_forearm.any()) + [centre] * bool(self._at_wrist.any() or self._k_wrist)
+        self._has_forearm, self._has_wrist = bool(self._by_forearm.any()), bool(self._at_wrist.any() or self._k_wrist)
+        joints = [forearm] * self._has_forearm + [centre] * self._has_wrist
         self.columns = tuple(f"joint_{k + 1}{side}" for k in joints for side in ("", "a", "b"))
-        self._has_forearm, self._has_wrist = forearm in joints, centre in joints
 
     def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
         weights = [w for k in self._wrist for w in (math.sin(tick.q[k]), math.cos(tick.q[k]))]

@@ -99,3 +99,8 @@ def test_what_repeats_many_times_per_turn_feigns_nothing_that_passes_with_time(
     monkeypatch.setattr(form_errors, "Ground", lambda *_: SimpleNamespace(beside=lambda v: v))
     monkeypatch.setattr(form_errors, "forms_of", lambda *_: SimpleNamespace(has=lambda structure: False))
     assert form_errors.feigned(one, SETTINGS) == {effect_id: pytest.approx(feigned * 200.0)}
+
+
+def test_a_shape_value_whose_grid_holds_kinds_is_not_moved_between_them() -> None:
+    shapes = {p.name: p for p in find_effect("joint_stiffening").parameters(scene_of(session(poses=3))) if p.grid}
+    assert shape._is_continuous(shapes["x_0"]) and not shape._is_continuous(shapes["slow"])
