@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .remainder import Part, Remainder
 
 ROUGHLY = 1e-4  # relative fall of the loss at which springs are known well enough to set widths by them
+NEARLY = 1e-6  # relative fall of the loss at which evidence is known: by a thousandth of a nat
 MOST_REFLECTORS = 20  # that are told apart, those that were seated anew counted each time
 ROUNDS = 2  # in which widths of priors follow the springs; a third changes them by less than a per cent
 
@@ -188,7 +189,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
         narrow = _beside_softening(own, system.parameters, system.scale)
         block = replace(block, width=_softness(bench, block, follows) * narrow)
     width = block.width
-    result = fit(first, observation, prior_width=width)
+    result = fit(first, observation, prior_width=width, settled=NEARLY)
     system = result.system
     ready = apply_wrench_effects(result.terms, scene)
     mover = mover_of(known_effects().values(), ready)

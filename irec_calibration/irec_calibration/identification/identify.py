@@ -20,7 +20,7 @@ from ..robot.ratings import rated_torque, rating_known
 from ..session.data import Session
 from ..typing import Array, BoolArray
 from .absolute import base_terms, completed, near_pairs, noted, repeating, with_better_joints
-from .gauss_newton import fitted
+from .gauss_newton import SETTLED, fitted
 from .identifiability import identifiability
 from .marker_noise import by_marker
 from .observe import Observation, observe
@@ -75,6 +75,7 @@ def fit(
     observation: Observation,
     *,
     prior_width: Array | None = None,
+    settled: float = SETTLED,
     cancelled: Callable[[], bool] | None = None,
 ) -> Fit:
     """Fit all parameters of the terms jointly (Gauss-Newton with bounds and step control; one step where all is linear).
@@ -83,13 +84,14 @@ def fit(
         terms: effects with start values.
         observation: what was measured.
         prior_width: see `solve`.
+        settled: see `fitted`.
         cancelled: called between iterations; returning True stops.
 
     Raises:
         SolveError: fewer equations than needed, or an effect of the model can't act on this session.
         Cancelled: as asked for.
     """
-    found, converged = fitted(terms, observation, prior_width=prior_width, cancelled=cancelled)
+    found, converged = fitted(terms, observation, prior_width=prior_width, settled=settled, cancelled=cancelled)
     return _describe(found, observation, converged)
 
 

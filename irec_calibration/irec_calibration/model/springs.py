@@ -28,7 +28,7 @@ class Answer(NamedTuple):
 
     def at(self, theta: Array) -> Answer:
         """At values of the parameters, (p,)."""
-        return Answer(self.at_rest @ theta, self.by_wrench @ theta)
+        return Answer(_at(self.at_rest, theta), _at(self.by_wrench, theta))
 
     def response(self, scene: Scene) -> ElasticResponse:
         """What effects see of it under a scene's wrench."""
@@ -97,7 +97,7 @@ def by_geometry(effect: Effect, theta: Array, scene: Scene, mover: Effect) -> Ar
     key = theta.tobytes()
     if key not in known.values:
         known.values.clear()
-        known.values[key] = known.columns @ theta
+        known.values[key] = _at(known.columns, theta)
     out: Array = np.einsum("nikg,nk->nig", known.values[key], _wrench(scene))
     return out
 
@@ -153,6 +153,11 @@ def displacement_at(effect: Effect, theta: Array, scene: Scene) -> Array:
     found = answer_of(effect, theta, scene)
     moved: Array = found.at_rest[:, :, 0] + np.einsum("nik,nk->ni", found.by_wrench[:, :, 0], _wrench(scene))
     return moved
+
+
+def _at(columns: Array, theta: Array) -> Array:
+    """Columns (..., p) times values (p,): as one product, since numpy makes thousands of small ones of it."""
+    return np.asarray(columns.reshape(-1, len(theta)) @ theta).reshape(columns.shape[:-1])
 
 
 def _rotation(further: Array) -> Array:
