@@ -329,14 +329,28 @@ while rclpy.ok(): ex.spin_once(timeout_sec=1.0)
 """
 
 
+WATCHER = """
+import json, os, sys, time, rclpy
+from geometry_msgs.msg import TransformStamped
+from rclpy.experimental import EventsExecutor
+seconds, arrived = float(sys.argv[1]), {"irec/offset": [], "bare": []}
+rclpy.init(); node = rclpy.create_node("watcher"); ex = EventsExecutor(); ex.add_node(node)
+for topic, times in arrived.items():
+    node.create_subscription(TransformStamped, topic, lambda _, t=times: t.append(time.monotonic()), 50, raw=True)
+end = time.monotonic() + 60.0
+while min(map(len, arrived.values())) < 100 and time.monotonic() < end: ex.spin_once(timeout_sec=0.1)
+started = min(map(len, arrived.values())) >= 100
+for times in arrived.values(): times.clear()
+end = time.monotonic() + seconds
+while started and time.monotonic() < end: ex.spin_once(timeout_sec=0.1)
+print(json.dumps(arrived), flush=True)
+os._exit(0)  # at once: ROS has crashed while it took a node down that others were still sending to
+"""
+
+
 def bench_topic(seconds: float, period: float, priority: int) -> dict:
     """Intervals of irec/offset as they arrive, beside those of a bare timer that publishes the same message."""
-    import rclpy
-    from geometry_msgs.msg import TransformStamped
-    from rclpy.experimental import EventsExecutor
-
     environment = {**os.environ, "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", "58"), "IREC_RT_PRIORITY": str(priority)}
-    os.environ["ROS_DOMAIN_ID"] = environment["ROS_DOMAIN_ID"]
     folder = tempfile.mkdtemp(prefix="irec_bench_")
     model = save_model(model_18(), Path(folder) / "model.yaml")
     node = ["-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}", "-p", "autostart:=true", "-p",
@@ -345,31 +359,16 @@ def bench_topic(seconds: float, period: float, priority: int) -> dict:
     commands = [["-c", TIMER, str(period)], node, ["-c", feeder, str(period)]]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     running = [subprocess.Popen([sys.executable, *c], env=environment, **quiet) for c in commands]  # type: ignore[call-overload]
-    rclpy.init()
-    watcher = rclpy.create_node("watcher")
-    arrived: dict[str, list[float]] = {"irec/offset": [], "bare": []}
-    for topic, times in arrived.items():
-        watcher.create_subscription(TransformStamped, topic, lambda _, t=times: t.append(time.monotonic()), 50, raw=True)
-    executor = EventsExecutor()
-    executor.add_node(watcher)
+    watcher = [sys.executable, "-c", WATCHER, str(seconds)]
     try:
-        end = time.monotonic() + 60.0
-        while min(map(len, arrived.values())) < 100:
-            executor.spin_once(timeout_sec=0.1)
-            if time.monotonic() > end:
-                raise SystemExit("offset topic: no messages within 60 s")
-        for times in arrived.values():
-            times.clear()
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            executor.spin_once(timeout_sec=0.1)
+        heard = subprocess.run(watcher, env=environment, stdout=subprocess.PIPE, timeout=seconds + 120.0, check=True)
     finally:
         for process in running:
             process.kill()
             process.wait()
-        executor.shutdown()  # while the context lives: an executor that outlives it ends the process by a segmentation fault
-        watcher.destroy_node()
-        rclpy.shutdown()
+    arrived = json.loads(heard.stdout)
+    if not all(arrived.values()):
+        raise SystemExit("offset topic: no messages within 60 s")
     result = {}
     for name, topic in (("offset_interval_us", "irec/offset"), ("timer_interval_us", "bare")):
         result[name] = {**spread(np.diff(arrived[topic])), "messages": len(arrived[topic])}
