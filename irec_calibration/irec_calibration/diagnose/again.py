@@ -14,9 +14,10 @@ from ..identification.observe import Observation
 from .build import Built, Look, build
 from .explanation import Explanation, in_one_pose
 from .family import Family, family_of
-from .level import noise_left
+from .level import at_level_beside, log_evidence_beside, noise_left
 from .remainder import grow
 from .sag import with_sag_as_seen
+from .settings import SETTINGS
 from .study import Study, study_of
 
 
@@ -47,6 +48,28 @@ SEEN: dict[str, Look] = {
     "with what the arm sags on its way as it shows": lambda one, _: with_sag_as_seen(one.study, one.remainder),
     "at the noise that is left": lambda one, family: noise_left(one.study, one.remainder, family),
 }
+
+
+def built_either_way(asked: Study, study: Study, check: Callable[[], None], say: Callable[[str], None]) -> tuple[Study, Study, Built]:
+    """As `built_again`; what passes with time and noise that wanders for minutes are told apart by building beside each.
+
+    An absolute session starts without springs. Beside what these leave, noise that wanders may describe a step or a drift as well as
+    anything, and then no evidence is left for them.
+    """
+    found = built_again(asked, study, check, say)
+    if study.session.kind == "loaded" or found[1].observation.whiten.wander is None:
+        return found
+    say("building without noise that wanders")
+    plain = at_level_beside(replace(study.observation, whiten=replace(study.observation.whiten, wander=None)), asked.terms)
+    asked, study = replace(study_of(plain, asked.terms), apart=asked.apart), study_of(plain, study.terms)
+    return max(found, built_again(asked, study, check, say), key=lambda one: _log_odds(one[2].final))
+
+
+def _log_odds(one: Explanation) -> float:
+    """Log evidence of a model, its remainder and its noise, comparable between noises."""
+    observation = one.study.observation
+    odds = -SETTINGS.nats_to_name * len(one.added) - SETTINGS.nats_for_wander * (observation.whiten.wander is not None)
+    return odds + log_evidence_beside(observation, one.study.terms)
 
 
 def built_again(asked: Study, study: Study, check: Callable[[], None], say: Callable[[str], None]) -> tuple[Study, Study, Built]:

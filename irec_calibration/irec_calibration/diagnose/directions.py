@@ -17,6 +17,7 @@ from .study import Study
 DEGREE = 3  # of a curve over one variable
 TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment over which a play is taken up
 SEEN_AT, TURNS = ("marker_x", "marker_y", "marker_z"), 4  # columns of a reading; waves per turn of an encoder that are tried
+IN_BASE = "constant in the base frame"
 TURNING, COMPLIANCE = "turning the axes", "as compliance of the axes"
 TYPICAL_DISPLACEMENT = 3e-5  # m; what a coefficient of 1 moves; the amplitude itself is inferred
 
@@ -106,7 +107,7 @@ def directions(study: Study) -> Iterator[Direction]:
     rows = study.observation.rows
     on = _under_load(scene)
     tau = scene.load_torque()
-    yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
+    yield Direction(IN_BASE, (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
     yield Direction("along the elastic deflection", (), scaled(scene.response.displacement[:, :, None] * on, rows))
     yield Direction("as a force at the tool", (), scaled(scene.response.compliance[:, :, :3] * on, rows))
@@ -134,7 +135,14 @@ def shaped(study: Study) -> Iterator[Direction]:
             law_of = by_torque if of_all or by_torque == d.axis else None
             softer = by_angle if is_compliance and (of_all or by_angle == d.axis) else None
             variables = (name, *(v for v in d.variables if v != name))
-            yield Direction(d.words, variables, columns, d.axis, law_of, softer)
+            # in a loaded session it acts under load only, which is no drift
+            is_drift = d.words == IN_BASE and follows_course(name) and study.ready.kind == "absolute"
+            yield Direction(d.words, variables, columns, d.axis, law_of, softer, is_drift=is_drift)
+
+
+def follows_course(name: str) -> bool:
+    """Whether a variable is time or a temperature."""
+    return name == "stamp" or name.startswith("temp_")
 
 
 def _axis_in(name: str, of: str) -> int | None:
@@ -244,7 +252,7 @@ def plain(study: Study) -> Iterator[Direction]:
     # else one that doubles the force passes for a sensor that is mounted turned
     yield Direction(words, ("force_z", "load_case"), bent_scaled, largest=SETTINGS.most_of_gain * _times(bent, bent_scaled))
     on = _under_load(scene)
-    yield Direction("constant in the base frame", (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
+    yield Direction(IN_BASE, (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
     if scene.kind == "loaded" and np.any(scene.previous >= 0):
         has = scene.previous >= 0
@@ -297,7 +305,7 @@ def drifts(study: Study) -> Iterator[Direction]:
     by_reach = np.einsum("ni,jk->njik", reach, np.eye(3)).reshape(len(far), 3, -1)
     loaded = study.observation.rows
     for name, values in varying(study).items():
-        if name != "stamp" and not name.startswith("temp_"):
+        if not follows_course(name):
             continue
         change = study.observation.of(np.tile(values[:, None], (1, 3)))[:, 0]
         size = float(np.abs(change).max())

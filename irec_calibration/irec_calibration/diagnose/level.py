@@ -138,6 +138,23 @@ def _log_evidence(study: Study, remainder: Remainder) -> float:
     return remainder.log_evidence - 3.0 * study.observation.whiten.log_size
 
 
+def log_evidence_beside(observation: Observation, terms: Sequence[Term]) -> float:
+    """Log evidence of a model with a remainder and its noise from the level on that the session states, whatever the level in use:
+    comparable between noises of different correlation."""
+    return _log_evidence(*_at_stated_level(observation, terms))
+
+
+def at_level_beside(observation: Observation, terms: Sequence[Term]) -> Observation:
+    """The observation at the level of the noise that a model and its remainder leave."""
+    study, remainder = _at_stated_level(observation, terms)
+    return at_level(study.observation, level_beside(study, remainder))
+
+
+def _at_stated_level(observation: Observation, terms: Sequence[Term]) -> tuple[Study, Remainder]:
+    study = study_of(replace(observation, whiten=observation.whiten.scaled(1.0 / observation.whiten.level)), terms)
+    return study, grow(study.bench, family_in_view(study), study.base)
+
+
 def noise_left(study: Study, remainder: Remainder, family: Family, settings: Settings = SETTINGS) -> Observation | None:
     """The observation with the noise that a finished model and its remainder leave, where that is another than was assumed: much
     less, or correlated in time otherwise; else None."""

@@ -15,7 +15,7 @@ from ..identification.validation import HeldOut, gain
 from ..model import Estimate, Model, Term
 from ..session.data import Session
 from ..typing import Json
-from .again import built_again
+from .again import built_either_way
 from .assessment import Assessment, assess, bad_luck, p_value
 from .bad_readings import one_note_each, rows_json
 from .candidates import Trial
@@ -96,7 +96,7 @@ def examine(
     study = completed_study(asked)
     check()
     say(done.fitted, "building a model from the effects of the catalogue")
-    asked, study, built = built_again(asked, study, check, lambda words: say(0.5 * (done.fitted + done.built), words))
+    asked, study, built = built_either_way(asked, study, check, lambda words: say(0.5 * (done.fitted + done.built), words))
     say(done.built, "weighing the evidence")
     relaxed = session.kind == "loaded" and session.contact is None  # references bear no force
     readings = reference_readings(study.ready, session.noise.force_n) if relaxed else None

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from absolute_sessions import session
+from absolute_sessions import session, torsion
 from irec_calibration.diagnose import diagnose
 from irec_calibration.diagnose.wander import wandering
 from irec_calibration.identification.marker_noise import by_marker
@@ -125,3 +128,28 @@ def test_a_slow_drift_of_an_absolute_session_does_not_pass_for_noise_that_wander
 
     found = diagnose(session(poses=100, noise=NOISE, moved=drift))
     assert found.verdict.status != "adequate"
+
+
+def slow(course_of: Callable[[Array], Array], seed: int) -> Session:
+    """Three markers of a robot on soft gears, poses 45 s apart, displaced besides by a course (n, 3) of the share of time (n,), m."""
+    bends = torsion(np.array([2e-6, 3e-6, 4e-6, 1e-5, 1e-5, 2e-5]))
+    places = ((0.03, -0.02, 0.1), (0.2, 0.0, 0.1), (-0.1, 0.15, 0.05))
+    markers = tuple(Marker(name, "tool0", xyz, known=False) for name, xyz in zip("ABC", places, strict=True))
+
+    def moved(s: Session, p: Array) -> Array:
+        return np.asarray(bends(s, p) + course_of(s.stamp / s.stamp.max()))
+
+    found = session(poses=45, seed=seed, noise=Noise(tracker_m=1.2e-5), markers=markers, moved=moved)
+    return replace(found, stamp=9.0 * found.stamp)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_step_beside_springs_that_are_not_known_yet_does_not_pass_for_noise_that_wanders(seed: int) -> None:
+    found = diagnose(slow(lambda share: 2e-4 * np.outer(share > 0.5, [0.6, 0.5, -0.62]), seed))
+    assert set(found.verdict.effects) == {"joint_torsion", "station_shift"}
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_cell_that_warms_up_beside_springs_that_are_not_known_yet_does_not_pass_for_noise_that_wanders(seed: int) -> None:
+    found = diagnose(slow(lambda share: 4e-4 * np.outer(-np.expm1(-1.3 * share), [0.6, 0.5, -0.62]), seed))
+    assert set(found.verdict.effects) == {"joint_torsion", "thermal_drift"}
