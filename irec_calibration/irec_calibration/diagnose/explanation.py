@@ -169,9 +169,9 @@ def implausible(one: Explanation, effect_id: str) -> str:
 
 
 def usual(one: Explanation, effect_id: str) -> bool:
-    """Whether an added effect is no larger than in every robot, in a loaded session: it is part of the model and no cause."""
+    """Whether an added effect is no larger than in every robot: it is part of the model and no cause."""
     study = one.study
-    if study.ready.kind != "loaded":
+    if study.ready.kind not in one.term(effect_id).effect.usual_in:
         return False
     observation, scene = study.observation, study.observation.scene
     mine = displacements([t for t in study.terms if t.effect.id == effect_id], scene, prepared(study.terms, scene))

@@ -111,6 +111,7 @@ class Effect(ABC):
         evidence: where a session shows it.
         family: effects that pass for each other; None: not known (effects of users).
         everywhere: kinds of session in which every robot has it and shows it, only its size is not known.
+        usual_in: kinds of session in which it may be no larger than in every robot (`is_usual`).
         beside: id of an effect that a robot which has this one has too: weighed beside that one first, and by itself only where
             that one does not come in.
         completes: id of an effect that every robot has and whose form it completes: never named as a cause, but weighed beside it
@@ -139,6 +140,7 @@ class Effect(ABC):
     evidence: ClassVar[Evidence] = Evidence.DISPLACEMENTS
     family: ClassVar[Family | None] = None
     everywhere: ClassVar[tuple[str, ...]] = ()
+    usual_in: ClassVar[tuple[str, ...]] = ("loaded",)
     beside: ClassVar[str] = ""
     completes: ClassVar[str] = ""
     compliance_of: ClassVar[Axes | None] = None
@@ -214,7 +216,7 @@ class Effect(ABC):
         """Whether an effect is no larger than in every robot: it is there then, and no cause that anybody has to look for.
 
         Args:
-            values: parameter -> fitted value; share: RMS of its displacement over that of the whole model, in a loaded session.
+            values: parameter -> fitted value; share: RMS of its displacement over that of the whole model.
         """
         return False
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..typing import Array
@@ -12,6 +14,7 @@ from .state import ElasticResponse
 from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
+USUAL_RAD = 0.6e-3  # RMS; a first axis or a base frame that is off as every robot's does the same to all that a station sees
 
 
 class StationRegistration(Effect):
@@ -27,6 +30,7 @@ class StationRegistration(Effect):
     needs_elastic = True
     needs = ("tracker",)
     in_readings = True
+    usual_in = ("absolute",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(
@@ -45,6 +49,9 @@ class StationRegistration(Effect):
         if not known:
             return turned[:, :, :0]
         return np.concatenate([turned * (scene.station == s)[:, None, None] for s in known], axis=2)
+
+    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+        return float(np.sqrt(np.mean(np.square(list(values.values()))))) <= USUAL_RAD
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
         if scene.kind == "absolute" or scene.measured_from_station is None:
