@@ -16,7 +16,8 @@ from .traits import Family
 
 DOF = ("t_x", "t_y", "t_z", "r_x", "r_y", "r_z")
 PLACES = 9  # along the travel of the session, at which the softest place is looked for
-WIDTHS = (0.1, 0.22, 0.5)  # of the travel
+WIDTHS = (0.1, 0.17, 0.235, 0.28, 0.33, 0.39, 0.46, 0.55, 0.66)  # of the travel; as close as what repeats over it asks for
+SHAPE = 3  # parameters, the last: s_0, w, posts
 SHORTEST = 0.1  # m, of a travel
 FURTHEST = 100.0  # m from 0, of a place on a rail whose travel is not known
 
@@ -26,8 +27,9 @@ class RailCompliance(Effect):
     label = "rail compliance"
     physics = (
         "The carriage and its rail give way like a base spring, differently along the travel: each of six compliances is a "
-        "constant part and one that is largest at the place s_0 and fades over the distance w: c + soft exp(-((s - s_0)/w)^2), "
-        "neither negative. Missing, the residual depends on the rail position."
+        "constant part and one that is largest at the place s_0, neither negative. That one fades over the distance w, "
+        "c + soft exp(-((s - s_0)/w)^2), or is there between all posts, which stand w apart: c + soft cos^2(pi (s - s_0)/w). "
+        "Missing, the residual depends on the rail position."
     )
     family = Family.SPRING
     elastic = True
@@ -55,26 +57,33 @@ class RailCompliance(Effect):
             *springs,
             Parameter("s_0", "m", travel, *within, start=places[len(places) // 2], grid=places),
             Parameter("w", "m", travel, 1e-3, 100.0, start=widths[0], grid=widths),
+            Parameter("posts", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0), kinds=True),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        constant, soft = theta[:-2].reshape(-1, 2).T
-        return base_spring_displacement(scene, constant + _fading(scene, *theta[-2:])[:, None] * soft)
+        constant, soft = theta[:-SHAPE].reshape(-1, 2).T
+        return base_spring_displacement(scene, constant + softness(_position(scene), *theta[-SHAPE:])[:, None] * soft)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        *values, place, width = theta
+        *values, place, width, posts = theta
         h = 1e-4 * width
-        by_place = (self._columns(scene, place + h, width) - self._columns(scene, place - h, width)) @ values / (2 * h)
-        by_width = (self._columns(scene, place, width + h) - self._columns(scene, place, width - h)) @ values / (2 * h)
-        return np.concatenate([self._columns(scene, place, width), by_place[:, :, None], by_width[:, :, None]], axis=2)
 
-    def _columns(self, scene: Scene, place: float, width: float) -> Array:
+        def columns(s_0: float, w: float) -> Array:
+            return self._columns(scene, s_0, w, posts)
+
+        by_place = (columns(place + h, width) - columns(place - h, width)) @ values / (2 * h)
+        by_width = (columns(place, width + h) - columns(place, width - h)) @ values / (2 * h)
+        by_shape = np.stack([by_place, by_width, np.zeros_like(by_place)], axis=2)  # posts are there or not
+        return np.concatenate([columns(place, width), by_shape], axis=2)
+
+    def _columns(self, scene: Scene, place: float, width: float, posts: float) -> Array:
         """Displacement per unit of each compliance, (n, 3, 12)."""
         spring = base_spring_regressor(scene)
-        return np.stack([spring, spring * _fading(scene, place, width)[:, None, None]], axis=3).reshape(len(scene), 3, -1)
+        soft = softness(_position(scene), place, width, posts)[:, None, None]
+        return np.stack([spring, spring * soft], axis=3).reshape(len(scene), 3, -1)
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
-        return _Carriage(theta[:-2].reshape(-1, 2), *theta[-2:])
+        return _Carriage(theta[:-SHAPE].reshape(-1, 2), *theta[-SHAPE:])
 
 
 def _position(scene: Scene) -> Array:
@@ -83,19 +92,22 @@ def _position(scene: Scene) -> Array:
     return np.where(np.isfinite(position), position, 0.0)
 
 
-def _fading(scene: Scene, place: float, width: float) -> Array:
-    return np.asarray(np.exp(-(((_position(scene) - place) / width) ** 2)))
+def softness(position: Array, place: float, width: float, posts: float) -> Array:
+    """Share of the soft part at positions along the rail, (n,), m -> (n,): 1 at the softest place."""
+    away = (position - place) / width
+    return np.asarray(np.cos(np.pi * away) ** 2 if posts >= 0.5 else np.exp(-(away**2)))
 
 
 class _Carriage(ColumnLaw):
     columns = tuple(f"base_{d}" for d in DOF)
     elastic = True
 
-    def __init__(self, compliances: Array, place: float, width: float) -> None:
+    def __init__(self, compliances: Array, place: float, width: float, posts: float) -> None:
         self._constant, self._soft = compliances.T
-        self._place, self._width = float(place), float(width)
+        self._place, self._width, self._posts = float(place), float(width), posts >= 0.5
 
     def displacement(self, tick: Tick, tau: Array) -> Array:
-        soft = math.exp(-(((tick.rail_position - self._place) / self._width) ** 2))
+        away = (tick.rail_position - self._place) / self._width
+        soft = math.cos(math.pi * away) ** 2 if self._posts else math.exp(-(away**2))
         out: Array = (self._constant + soft * self._soft) * tau
         return out

@@ -162,3 +162,10 @@ def test_a_diagnosis_says_what_to_do_with_it_and_does_not_say_that_nothing_is_to
     page = write_diagnosis_report(found, synthetic.session(poses=20, seed=5, extra=marker_elsewhere), tmp_path)[0]
     text = page.read_text(encoding="utf-8")
     assert "Marker offset is there as in every robot" in text and "no effect is needed" not in text
+
+
+@pytest.mark.parametrize(("turned", "usual"), [((1e-4, 4e-4, -2e-4), True), ((3e-3, 0.0, 1e-3), False)])
+def test_a_known_station_turned_by_no_more_than_a_first_axis_is_off_is_usual(turned, usual) -> None:
+    station = find_effect("station_registration")
+    assert station.is_usual({f"w_{a}_A": w for a, w in zip("xyz", turned, strict=True)}, 0.0) == usual
+    assert station.usual_in == ("absolute",)  # in a loaded session so little does not show

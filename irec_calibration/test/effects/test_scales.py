@@ -104,11 +104,24 @@ def test_the_softest_place_of_a_rail_is_where_it_says():
     along = np.repeat(np.linspace(-1.0, 2.0, 25), 6)
     scene = replace(scene, ext={"rail": along})
     rail = find_effect("rail_compliance")
-    theta = np.array([0.0 if p.name != "r_y_soft" else 1e-8 for p in rail.parameters(scene)])
-    theta[-2:] = 0.7, 0.3
+    values = {"r_y_soft": 1e-8, "s_0": 0.7, "w": 0.3}
+    theta = np.array([values.get(p.name, 0.0) for p in rail.parameters(scene)])
     size = np.linalg.norm(rail.displacement(scene, theta), axis=1)
     near, far = np.abs(along - 0.7) < 0.2, np.abs(along - 0.7) > 1.2
     assert size[near & (scene.load_case > 0)].min() > 1e3 * size[far].max()
+
+
+def test_a_rail_on_posts_is_softest_in_the_middle_between_any_two():
+    scene = scene_of(session(25, seed=1))
+    along = np.repeat(np.linspace(-1.0, 2.0, 25), 6)
+    scene = replace(scene, ext={"rail": along})
+    rail = find_effect("rail_compliance")
+    values = {"r_y_soft": 1e-8, "s_0": 0.75, "w": 0.5, "posts": 1.0}
+    theta = np.array([values.get(p.name, 0.0) for p in rail.parameters(scene)])
+    size = np.linalg.norm(rail.displacement(scene, theta), axis=1)
+    pressed = scene.load_case > 0
+    for middle in (-0.75, 0.25, 0.75, 1.75):
+        assert size[pressed & np.isclose(along, middle)].min() > 1e3 * size[pressed & np.isclose(along, middle + 0.25)].max()
 
 
 def test_a_model_of_an_earlier_form_is_refused_instead_of_misread():

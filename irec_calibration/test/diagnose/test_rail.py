@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot on a rail that stands on posts: it gives way most in the middle between any two of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import improve
+from irec_calibration.effects.scene import Scene
+from numpy.typing import NDArray
+
+POSES, APART = 36, 1.1  # m between posts
+
+
+def on_posts(scene: Scene) -> NDArray[np.float64]:
+    """What a beam between posts does under the moment about its own direction, written out here."""
+    moment = np.cross(scene.p_tcp, scene.force)[:, 1]
+    soft = 4e-8 * (0.3 + np.sin(np.pi * (positions() - 0.4) / APART) ** 2)
+    return np.cross((soft * moment)[:, None] * [0.0, 1.0, 0.0], scene.p_observed)
+
+
+def positions() -> NDArray[np.float64]:
+    return np.repeat(np.random.default_rng(7).uniform(0.0, 3.0, POSES), 6)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_rail_on_posts_is_named_and_predicted_along_all_of_it(seed: int) -> None:
+    session = replace(synthetic.session(POSES, seed=seed, extra=on_posts), ext={"rail": positions()})
+    ladder = improve(session)
+    assert ladder.before.verdict.effects == ("rail_compliance",)
+    found = {n: e.value for t in ladder.rungs[-1].model.terms if t.effect.id == "rail_compliance" for n, e in t.estimates.items()}
+    assert found["posts"] == 1.0
+    assert found["w"] == pytest.approx(APART, rel=0.05)
+    assert found["r_y"] == pytest.approx(0.3 * 4e-8, rel=0.3)
+    assert found["r_y_soft"] == pytest.approx(4e-8, rel=0.2)
