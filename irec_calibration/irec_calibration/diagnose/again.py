@@ -50,11 +50,13 @@ SEEN: dict[str, Look] = {
 }
 
 
-def built_either_way(asked: Study, study: Study, check: Callable[[], None], say: Callable[[str], None]) -> tuple[Study, Study, Built]:
+def built_either_way(
+    asked: Study, study: Study, check: Callable[[], None], say: Callable[[str], None]
+) -> tuple[Study, Study, Built]:  # fmt: skip
     """As `built_again`; what passes with time and noise that wanders for minutes are told apart by building beside each.
 
-    An absolute session starts without springs. Beside what these leave, noise that wanders may describe a step or a drift as well as
-    anything, and then no evidence is left for them.
+    An absolute session starts without springs. Beside what these leave, noise that wanders may describe a step or a drift as
+    well as anything, and then no evidence is left for them.
     """
     found = built_again(asked, study, check, say)
     if study.session.kind == "loaded" or found[1].observation.whiten.wander is None:

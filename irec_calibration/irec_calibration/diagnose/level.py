@@ -139,8 +139,8 @@ def _log_evidence(study: Study, remainder: Remainder) -> float:
 
 
 def log_evidence_beside(observation: Observation, terms: Sequence[Term]) -> float:
-    """Log evidence of a model with a remainder and its noise from the level on that the session states, whatever the level in use:
-    comparable between noises of different correlation."""
+    """Log evidence of a model with a remainder and its noise, from the stated level on whatever the level in use: comparable
+    between noises of different correlation."""
     return _log_evidence(*_at_stated_level(observation, terms))
 
 

@@ -16,6 +16,7 @@ from .candidates import Trial, block_at, block_columns
 from .evidence import Ground
 from .study import Study, study_of
 
+ROUNDS = 4  # of searches for all shape values of an effect, one after the other
 STEPS = 10  # of a search for one shape value
 PRECISION = 0.02  # of the range searched
 WORTH_MOVING = 0.5  # nats; what a shape found at another place must gain
@@ -71,24 +72,34 @@ def _typical(term: Term, study: Study) -> Term:
 
 def _refined(study: Study, trial: Trial) -> dict[str, float]:
     """The shape values of a trial; a continuous one is moved between its grid neighbours to where the evidence is best."""
-    shape = dict(trial.best.shape)
+    shape = trial.effect.same_shape(study.ready, trial.best.shape)
     ground = Ground(study.bench, study.base)
-    for p in trial.effect.parameters(study.ready):
-        grid = sorted(p.grid)
-        if p.name not in shape or not _is_continuous(p):
-            continue
-        # a size is moved by its logarithm, a place by itself
-        there, back = _scale_of(p)
-        i, at = grid.index(shape[p.name]), [float(there(v)) for v in grid]
-        low = at[i - 1] if i else 2.0 * at[0] - at[1]
-        high = at[i + 1] if i + 1 < len(grid) else 2.0 * at[-1] - at[-2]
 
-        def loss(v: float, name: str = p.name) -> float:
-            block = block_at(study, trial.best, shape | {name: v})
-            return -ground.posterior(block, np.ones(1)).log_evidence
+    def loss(values: dict[str, float]) -> float:
+        return -ground.posterior(block_at(study, trial.best, values), np.ones(1)).log_evidence
 
-        shape[p.name] = _least(loss, p, low, high, back)
+    moved = [p for p in trial.effect.parameters(study.ready) if p.name in shape and _is_continuous(p)]
+    between = {p.name: _neighbours(p, shape[p.name]) for p in moved}
+    before = np.inf
+    for _ in range(ROUNDS if len(moved) > 1 else 1):  # where they depend on each other, one is right only beside the other
+        for p in moved:
+            _, back = _scale_of(p)
+            shape[p.name] = _least(lambda v, n=p.name: loss(shape | {n: v}), p, *between[p.name], back)  # type: ignore[misc]
+        now = loss(shape)
+        if now > before - WORTH_MOVING:
+            break
+        before = now
     return shape
+
+
+def _neighbours(p: Parameter, value: float) -> tuple[float, float]:
+    """How far a value may be moved, on the scale that it is moved on: as far as the grid's neighbours of the nearest one are."""
+    there, _ = _scale_of(p)
+    grid, at = [float(there(v)) for v in sorted(p.grid)], float(there(value))
+    i = int(np.argmin(np.abs(np.array(grid) - at)))
+    low = grid[i - 1] if i else 2.0 * grid[0] - grid[1]
+    high = grid[i + 1] if i + 1 < len(grid) else 2.0 * grid[-1] - grid[-2]
+    return at + low - grid[i], at + high - grid[i]
 
 
 def reshaped(study: Study, effects: Collection[str]) -> Study:

@@ -194,6 +194,11 @@ class Effect(ABC):
         """
         return None
 
+    def same_shape(self, scene: Scene, shape: Mapping[str, float]) -> dict[str, float]:
+        """Other shape values that mean the same and can be searched one by one, where there are such (a phase far from where
+        the rows are goes with the period); the same values else."""
+        return dict(shape)
+
     def log_odds(self, scene: Scene) -> float:
         """How much more likely (less: negative) the effect is than others before a session is seen, natural log."""
         return 0.0

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -59,6 +60,14 @@ class RailCompliance(Effect):
             Parameter("w", "m", travel, 1e-3, 100.0, start=widths[0], grid=widths),
             Parameter("posts", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0), kinds=True),
         )
+
+    def same_shape(self, scene: Scene, shape: Mapping[str, float]) -> dict[str, float]:
+        if shape["posts"] < 0.5:
+            return dict(shape)
+        position = _position(scene)
+        middle = 0.5 * float(position.min() + position.max())
+        spans = round((middle - shape["s_0"]) / shape["w"])
+        return {**shape, "s_0": shape["s_0"] + spans * shape["w"]}
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         constant, soft = theta[:-SHAPE].reshape(-1, 2).T

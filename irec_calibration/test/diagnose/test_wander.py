@@ -131,7 +131,7 @@ def test_a_slow_drift_of_an_absolute_session_does_not_pass_for_noise_that_wander
 
 
 def slow(course_of: Callable[[Array], Array], seed: int) -> Session:
-    """Three markers of a robot on soft gears, poses 45 s apart, displaced besides by a course (n, 3) of the share of time (n,), m."""
+    """Three markers of a robot on soft gears, poses 45 s apart, displaced besides by a course (n, 3), m, of the share of time."""
     bends = torsion(np.array([2e-6, 3e-6, 4e-6, 1e-5, 1e-5, 2e-5]))
     places = ((0.03, -0.02, 0.1), (0.2, 0.0, 0.1), (-0.1, 0.15, 0.05))
     markers = tuple(Marker(name, "tool0", xyz, known=False) for name, xyz in zip("ABC", places, strict=True))
