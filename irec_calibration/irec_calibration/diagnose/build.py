@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from ..identification.observe import Observation
 from .candidates import Option, Trial, options
 from .explanation import Explanation, reshaped_again, without
@@ -134,16 +136,27 @@ class _Way:
         for chosen in ([o for o in found if o.effect.id not in wait], *([found] if wait else ())):
             self.tried = step(start, current, chosen, family, known, self.check, settings)
             self.singles = self.singles or tuple(self.tried)
+            taken: tuple[Explanation, float] | None = None
+            least = -np.inf
             for one in self.tried:
+                if one.log_evidence < least:
+                    break
+                # of those that are not told apart the one that explains most by itself: beside it less is left without a name
+                if taken is not None and one.named <= taken[0].named:
+                    continue
                 why, odds = refused(start, current, one, family, settings)
                 if not why:
-                    self.evidence[one.ids[-1]] = odds
-                    least = one.log_evidence - 2.0 * settings.nats_to_separate
-                    others = (t for t in self.tried if t is not one and t.log_evidence > least)
-                    self.near[one.ids[-1]] = {t.ids[-1]: t for t in others}
-                    return reshaped_again(start, one, family)
-                if self.closest is None or one.named > self.closest.named:
+                    least = one.log_evidence - settings.nats_to_separate if taken is None else least
+                    taken = one, odds
+                elif taken is None and (self.closest is None or one.named > self.closest.named):
                     self.closest, self.reason = one, why
+            if taken is not None:
+                one, odds = taken
+                self.evidence[one.ids[-1]] = odds
+                near = one.log_evidence - 2.0 * settings.nats_to_separate
+                others = (t for t in self.tried if t is not one and t.log_evidence > near)
+                self.near[one.ids[-1]] = {t.ids[-1]: t for t in others}
+                return reshaped_again(start, one, family)
         return None
 
     def _two(self, found: Sequence[Option], known: Sequence[Trial] | None) -> Explanation | None:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..typing import Array
@@ -15,6 +17,7 @@ LARGEST = 0.1  # share of the distance
 # Of readings of positions: links are known to a millimetre in a metre, and a scale that is wrong by five times as much would make
 # all of them wrong alike, which poses hardly tell from it.
 LARGEST_OF_POSITIONS = 5e-3  # share of the distance
+USUAL = 1.5e-4  # share of the distance; a base that is off by some tenths of a millimetre moves what a known station sees as much
 
 
 class TrackerScale(Effect):
@@ -30,6 +33,7 @@ class TrackerScale(Effect):
     needs_elastic = True
     needs = ("tracker",)
     in_readings = True
+    usual_in = ("absolute",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         limit = LARGEST_OF_POSITIONS if scene.kind == "absolute" else LARGEST
@@ -42,6 +46,9 @@ class TrackerScale(Effect):
             # the measured vector itself would let a fit with free geometry shrink robot, measurement and error together
             return scene.instruments.modelled_from_station[:, :, None]
         return scene.noise_free_from_station()[:, :, None]
+
+    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+        return abs(values.get("s", 0.0)) <= USUAL
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
         if scene.kind == "absolute" or scene.measured_from_station is None:

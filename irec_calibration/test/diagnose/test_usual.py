@@ -169,3 +169,10 @@ def test_a_known_station_turned_by_no_more_than_a_first_axis_is_off_is_usual(tur
     station = find_effect("station_registration")
     assert station.is_usual({f"w_{a}_A": w for a, w in zip("xyz", turned, strict=True)}, 0.0) == usual
     assert station.usual_in == ("absolute",)  # in a loaded session so little does not show
+
+
+@pytest.mark.parametrize(("scale", "usual"), [(1e-4, True), (-1e-4, True), (3e-4, False)])
+def test_lengths_that_are_off_by_a_tenth_of_a_millimetre_in_a_metre_are_usual_among_positions(scale, usual) -> None:
+    tracker = find_effect("tracker_scale")
+    assert tracker.is_usual({"s": scale}, 0.0) == usual
+    assert tracker.usual_in == ("absolute",)
