@@ -133,7 +133,9 @@ def odds_of(
         # settling, friction and an encoder's harmonics are exact members of such a curve: where none is left beside them, it
         # loses nothing by standing for them, as what else would do in their place does
         in_place, left = beside(with_exact)
-        odds = min(odds, own + left - in_place - settings.share_of_form * max(in_place - left, 0.0))
+        # by its last step an axis turns for these two reasons only: a curve that explains as much is one of them
+        told = settings.nats_to_separate if with_exact.steps else 0.0
+        odds = min(odds + told, own + left - in_place - settings.share_of_form * max(in_place - left, 0.0))
     else:
         odds -= settings.share_of_form * max(in_place - left, 0.0)
     if in_one_pose(one, effect_id):

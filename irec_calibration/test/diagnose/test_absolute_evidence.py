@@ -19,7 +19,7 @@ from irec_calibration.diagnose.study import prepare
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.model import Estimate, Term
-from irec_calibration.session import Noise, Session
+from irec_calibration.session import Marker, Noise, Session
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -132,6 +132,23 @@ def test_settling_and_friction_of_one_axis_are_named_where_both_together_are_bet
     assert set(verdict.effects) == {"joint_settling", "joint_hysteresis", "joint_torsion"}, verdict.text
     other = diagnose(session(poses=120, noise=NOISE, moved=stays_behind_by_a_law_of_its_own)).verdict
     assert set(other.effects) <= {"joint_torsion"}, other.text
+
+
+@pytest.mark.parametrize(
+    ("axis", "law", "name"), [(1, np.sign, "joint_hysteresis"), (3, lambda step: 2.0 * step, "joint_settling")]
+)
+def test_friction_or_settling_is_named_where_a_curve_of_the_step_explains_as_much(axis, law, name) -> None:
+    springs = torsion(np.array([2e-6, 3e-6, 4e-6, 1e-5, 1e-5, 2e-5]))
+
+    def behind(s: Session, p: Array) -> Array:
+        q = s.q[:: len(s.markers)]
+        turned = np.repeat(1e-4 * law(np.diff(q[:, axis], prepend=q[0, axis])), len(s.markers))
+        return np.asarray(springs(s, p) + turned[:, None] * s.robot.kinematics(s.q).jacobian(p)[:, :, axis])
+
+    places = ((0.03, -0.02, 0.1), (0.2, 0.0, 0.1), (-0.1, 0.15, 0.05))
+    markers = tuple(Marker(m, "tool0", xyz, known=False) for m, xyz in zip("ABC", places, strict=True))
+    verdict = diagnose(session(poses=60, seed=3, noise=NOISE, markers=markers, moved=behind)).verdict
+    assert set(verdict.effects) == {"joint_torsion", name}, verdict.text
 
 
 def test_where_an_arm_gives_way_by_its_gears_no_links_are_named_in_their_place() -> None:
