@@ -21,6 +21,7 @@ from .header import Header, described, read_header
 
 XYZ = ("x", "y", "z")
 LIMIT_MARGIN_RAD = 0.01
+LATEST_BEGIN = 3600.0  # s; stamps that begin later are not counted from the begin of the session (times of day, of a controller)
 
 
 class Columns:
@@ -138,6 +139,10 @@ def session_from_columns(header: Header, robot: Robot, columns: Columns, folder:
     if "target_1" in columns:
         q_target = np.stack([columns.numbers(f"target_{i + 1}", required=False) for i in range(robot.n_joints)], axis=1)
     notes = list(header.notes)
+    if header.clock == "time" and len(stamp) and stamp.min() > LATEST_BEGIN:
+        # what changes with time since the session began (a warm-up) would be over long before
+        notes.append(f"stamps begin at {stamp.min():.10g} s, not with the session: counted from the first row")
+        stamp = stamp - stamp.min()
     unknown = [n for n in columns.names if n not in columns.used]
     if unknown:
         notes.append(f"columns ignored: {', '.join(unknown)}")

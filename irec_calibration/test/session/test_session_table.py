@@ -43,6 +43,15 @@ def test_a_session_written_and_read_again_is_the_same_to_the_last_bit(folder):
     assert after.noise == before.noise and after.serial == before.serial
 
 
+@pytest.mark.parametrize(("begin", "shifted"), [(1.76e9, True), (7.2e4, True), (30.0, False)])
+def test_stamps_that_do_not_begin_with_the_session_are_counted_from_its_first_row(folder, begin, shifted):
+    before = session(3).stamp
+    _edit(folder, lambda rows: [{**r, "stamp": repr(float(r["stamp"]) + begin)} for r in rows])
+    after = read_session(folder)
+    np.testing.assert_allclose(after.stamp, before if shifted else before + begin, atol=1e-6)
+    assert any("counted from the first row" in note for note in after.notes) == shifted
+
+
 def test_a_missing_column_is_named(folder):
     _edit(folder, lambda rows: [{k: v for k, v in r.items() if k != "force_z"} for r in rows])
     with pytest.raises(SessionError, match=r"samples.csv:1: required column 'force_z' is missing"):
