@@ -125,6 +125,8 @@ def odds_of(
         # where most of a drift is left to another form of it, the name is not that drift, and has to be told apart from it
         other = sum(p.log_evidence for p in one.remainder.structures if p.structure.is_drift)
         told = may_be_as_weak if other <= own else 0.0
+        if one.study.ready.kind == "absolute":  # there a general course in the base frame is such a form: a true drift beats it
+            told = min(told, settings.nats_over_structure - settings.nats_to_prefer)
         # another cause whose form is not quite right leaves a drift too, told from this one by nothing: twice the evidence
         odds = min(odds - settings.nats_to_name, own + more - instead + told)
     if in_one_pose(one, effect_id):  # differences don't tell it from a bad pose, the readings of later poses may
