@@ -59,7 +59,8 @@ def built_either_way(
     well as anything, and then no evidence is left for them.
     """
     found = built_again(asked, study, check, say)
-    if study.session.kind == "loaded" or found[1].observation.whiten.wander is None:
+    wander = found[1].observation.whiten.wander
+    if study.session.kind == "loaded" or wander is None or wander.share <= SETTINGS.wander_to_doubt:
         return found
     say("building without noise that wanders")
     plain = at_level_beside(replace(study.observation, whiten=replace(study.observation.whiten, wander=None)), asked.terms)

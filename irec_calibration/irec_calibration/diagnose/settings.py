@@ -198,6 +198,10 @@ class Settings(Thresholds):
         5.0, "nats", "likelihood that noise correlated in time must gain over independent noise",
         "two parameters are fitted: by chance twice the gain is chi squared of two, above 10 in less than 1 % of sessions",
     )  # fmt: skip
+    wander_to_doubt: float = threshold(
+        0.5, "share of variance", "of noise that wanders, above which an absolute session is built without it too",
+        "chosen: 0.85 or 0.95 where a step or a drift had been taken for such noise; run time",
+    )  # fmt: skip
     held_out_sigmas: float = threshold(
         1.5, "standard errors over poses", "by which the held-out loss must fall with a name of least evidence",
         "one-sided 7 %, beside the evidence",
