@@ -93,19 +93,28 @@ def held(monkeypatch: pytest.MonkeyPatch, own: float, in_place: float, left: flo
     return odds - naming.needed(one, "joint_backlash", SETTINGS)
 
 
-@pytest.mark.parametrize(("own", "left", "named"), [(40.0, 20.0, True), (20.0, 40.0, False)])
+@pytest.mark.parametrize(
+    ("kind", "own", "left", "more", "named"),
+    [
+        ("loaded", 40.0, 20.0, 0.0, True),
+        ("loaded", 20.0, 40.0, 0.0, False),
+        ("absolute", 40.0, 20.0, 0.0, False),  # there a general course in the base frame is such a form
+        ("absolute", 40.0, 20.0, 2.5, True),
+    ],
+)
 def test_a_drift_most_of_which_has_another_form_is_no_thermal_drift(
-    monkeypatch: pytest.MonkeyPatch, own: float, left: float, named: bool
+    monkeypatch: pytest.MonkeyPatch, kind: str, own: float, left: float, more: float, named: bool
 ) -> None:
-    """Structures alone explain as much as name and structures do."""
+    """Name and structures explain more than structures alone by so much."""
     drift = SimpleNamespace(log_evidence=left, structure=SimpleNamespace(is_drift=True))
     rest = SimpleNamespace(gained=left, parts=(drift,), structures=(drift,), bad_rows=())
     term = SimpleNamespace(effect=SimpleNamespace(family=None, in_readings=False))
-    one: Any = SimpleNamespace(named=own, study=SimpleNamespace(ready=None), term=lambda _: term, remainder=rest)
-    bare: Any = SimpleNamespace(named=0.0, study=None, remainder=SimpleNamespace(gained=own + left))
+    study = SimpleNamespace(ready=SimpleNamespace(kind=kind))
+    one: Any = SimpleNamespace(named=own, study=study, term=lambda _: term, remainder=rest)
+    bare: Any = SimpleNamespace(named=0.0, study=None, remainder=SimpleNamespace(gained=own + left - more))
 
     def remainder_of(study: object, family: object, parts: object, forms: Forms = NO_FORMS) -> SimpleNamespace:
-        return SimpleNamespace(gained=0.0 if forms.drifts else own + left)
+        return SimpleNamespace(gained=0.0 if forms.drifts else own + left - more)
 
     odds = odds_beside(monkeypatch, one, bare, Forms(drifts=True), remainder_of, "thermal_drift")
     assert (odds > naming.needed(one, "thermal_drift", SETTINGS)) == named
