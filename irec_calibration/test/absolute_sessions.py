@@ -34,6 +34,8 @@ SIX = (
     Joint((0.5, 0, 0), (0, 1, 0), zero=-5e-3, shift=(0, 0, 0.4e-3)),
     Joint((0.1, 0, 0), (1, 0, 0)),
 )
+PLACES = ((0.03, -0.02, 0.1), (0.2, 0.0, 0.1), (-0.1, 0.15, 0.05))
+THREE_MARKERS = tuple(Marker(name, "tool0", xyz, known=False) for name, xyz in zip("ABC", PLACES, strict=True))
 TOOL = ((0.1, 0.0, 0.05), (0.0, np.pi / 2, 0.0))
 
 

@@ -136,28 +136,33 @@ class _Way:
         for chosen in ([o for o in found if o.effect.id not in wait], *([found] if wait else ())):
             self.tried = step(start, current, chosen, family, known, self.check, settings)
             self.singles = self.singles or tuple(self.tried)
-            taken: tuple[Explanation, float] | None = None
-            least = -np.inf
-            for one in self.tried:
-                if one.log_evidence < least:
-                    break
-                # of those that are not told apart the one that explains most by itself: beside it less is left without a name
-                if taken is not None and one.named <= taken[0].named:
-                    continue
-                why, odds = refused(start, current, one, family, settings)
-                if not why:
-                    least = one.log_evidence - settings.nats_to_separate if taken is None else least
-                    taken = one, odds
-                elif taken is None and (self.closest is None or one.named > self.closest.named):
-                    self.closest, self.reason = one, why
+            taken = self._likeliest(current)
             if taken is not None:
                 one, odds = taken
                 self.evidence[one.ids[-1]] = odds
-                near = one.log_evidence - 2.0 * settings.nats_to_separate
-                others = (t for t in self.tried if t is not one and t.log_evidence > near)
+                least = one.log_evidence - 2.0 * settings.nats_to_separate
+                others = (t for t in self.tried if t is not one and t.log_evidence > least)
                 self.near[one.ids[-1]] = {t.ids[-1]: t for t in others}
                 return reshaped_again(start, one, family)
         return None
+
+    def _likeliest(self, current: Explanation) -> tuple[Explanation, float] | None:
+        """The best of what was tried that is not refused, with its evidence; of those that are not told apart from it the one
+        that explains most by itself, since beside it less is left without a name."""
+        taken: tuple[Explanation, float] | None = None
+        least = -np.inf
+        for one in self.tried:
+            if one.log_evidence < least:
+                break
+            if taken is not None and one.named <= taken[0].named:
+                continue
+            why, odds = refused(self.start, current, one, self.family, self.settings)
+            if not why:
+                least = one.log_evidence - self.settings.nats_to_separate if taken is None else least
+                taken = one, odds
+            elif taken is None and (self.closest is None or one.named > self.closest.named):
+                self.closest, self.reason = one, why
+        return taken
 
     def _two(self, found: Sequence[Option], known: Sequence[Trial] | None) -> Explanation | None:
         both = two_together(self.start, self.steps[-1], known, found, self.family, self.check, self.settings)

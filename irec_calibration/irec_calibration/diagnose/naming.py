@@ -84,7 +84,8 @@ def odds_of(
     The general law of an axis' torque is no rival of an effect that is a form of it: it stays out on both sides. Where another
     effect bends the curve of that axis already, it is one: gears follow neither exactly, and the second may only mend the first.
     A drift of another form is no rival unless it explains more than what is not told apart, or is left beside the name and
-    explains more than that; a link that tilts instead of an axis that turns is none unless it is preferred.
+    explains more than that (in an absolute session the name has to be preferred to it); a curve of an axis' last step is none of
+    settling and friction unless it explains more; a link that tilts instead of an axis that turns is none unless it is preferred.
     A curve of few coefficients has a cause's form only nearly: a share of what the nonparametric structures explain counts for
     them. Where the readings at the references have the effect, which no structure moves, none is its rival; and where
     differences bear out the value of the readings, both count.

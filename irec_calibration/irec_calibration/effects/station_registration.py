@@ -14,7 +14,8 @@ from .state import ElasticResponse
 from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
-USUAL_RAD = 0.6e-3  # RMS; a first axis or a base frame that is off as every robot's does the same to all that a station sees
+# RMS over x, y, z; a first axis or a base frame that is off as every robot's does the same to all that a station sees
+USUAL_RAD = 0.6e-3
 
 
 class StationRegistration(Effect):
@@ -51,7 +52,9 @@ class StationRegistration(Effect):
         return np.concatenate([turned * (scene.station == s)[:, None, None] for s in known], axis=2)
 
     def is_usual(self, values: Mapping[str, float], share: float) -> bool:
-        return float(np.sqrt(np.mean(np.square(list(values.values()))))) <= USUAL_RAD
+        stations = {n.split("_", 2)[2] for n in values}
+        turned = (np.array([values.get(f"w_{a}_{s}", 0.0) for a in AXES]) for s in stations)
+        return all(float(np.sqrt(np.mean(w**2))) <= USUAL_RAD for w in turned)
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
         if scene.kind == "absolute" or scene.measured_from_station is None:

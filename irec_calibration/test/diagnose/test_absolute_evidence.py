@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from absolute_sessions import session, torsion
+from absolute_sessions import THREE_MARKERS, session, torsion
 from hypothesis import given
 from hypothesis import strategies as st
 from irec_calibration.diagnose import diagnose, start_terms
@@ -19,7 +19,7 @@ from irec_calibration.diagnose.study import prepare
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.model import Estimate, Term
-from irec_calibration.session import Marker, Noise, Session
+from irec_calibration.session import Noise, Session
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -145,9 +145,7 @@ def test_friction_or_settling_is_named_where_a_curve_of_the_step_explains_as_muc
         turned = np.repeat(1e-4 * law(np.diff(q[:, axis], prepend=q[0, axis])), len(s.markers))
         return np.asarray(springs(s, p) + turned[:, None] * s.robot.kinematics(s.q).jacobian(p)[:, :, axis])
 
-    places = ((0.03, -0.02, 0.1), (0.2, 0.0, 0.1), (-0.1, 0.15, 0.05))
-    markers = tuple(Marker(m, "tool0", xyz, known=False) for m, xyz in zip("ABC", places, strict=True))
-    verdict = diagnose(session(poses=60, seed=3, noise=NOISE, markers=markers, moved=behind)).verdict
+    verdict = diagnose(session(poses=60, seed=3, noise=NOISE, markers=THREE_MARKERS, moved=behind)).verdict
     assert set(verdict.effects) == {"joint_torsion", name}, verdict.text
 
 

@@ -27,7 +27,7 @@ def positions() -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_rail_on_posts_is_named_and_predicted_along_all_of_it(seed: int) -> None:
+def test_a_rail_on_posts_is_named_with_the_distance_of_its_posts(seed: int) -> None:
     session = replace(synthetic.session(POSES, seed=seed, extra=on_posts), ext={"rail": positions()})
     ladder = improve(session)
     assert ladder.before.verdict.effects == ("rail_compliance",)

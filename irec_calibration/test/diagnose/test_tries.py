@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from absolute_sessions import session
-from irec_calibration.diagnose import form_errors, shape, tries
+from irec_calibration.diagnose import build, form_errors, shape, tries
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
@@ -104,3 +104,25 @@ def test_what_repeats_many_times_per_turn_feigns_nothing_that_passes_with_time(
 def test_a_shape_value_whose_grid_holds_kinds_is_not_moved_between_them() -> None:
     shapes = {p.name: p for p in find_effect("joint_stiffening").parameters(scene_of(session(poses=3))) if p.grid}
     assert shape._is_continuous(shapes["x_0"]) and not shape._is_continuous(shapes["slow"])
+
+
+@pytest.mark.parametrize(
+    ("other", "refused", "taken"),
+    [
+        ((148.0, 140.0), "", "joint_hysteresis"),  # not told apart, and explains nearly all by itself
+        ((144.0, 140.0), "", "base_compliance"),  # told apart
+        ((148.0, 5.0), "", "base_compliance"),
+        ((148.0, 140.0), "its values can't be", "base_compliance"),
+    ],
+)
+def test_of_effects_that_are_not_told_apart_the_one_that_explains_most_by_itself_comes_first(
+    monkeypatch: pytest.MonkeyPatch, other: tuple[float, float], refused: str, taken: str
+) -> None:
+    none = model((), 0.0)
+    floor, gear = model(("base_compliance",), 7.0), model(("joint_hysteresis",), other[1])
+    floor.log_evidence, gear.log_evidence = 150.0, other[0]
+    monkeypatch.setattr(build, "refused", lambda start, current, one, *_: (refused if one is gear else "", 10.0))
+    family: Any = None
+    way = build._Way(none, family, (), (), lambda: None, lambda *_: None, SETTINGS, [none], tried=(floor, gear))
+    found = way._likeliest(none)
+    assert found is not None and found[0].ids == (taken,)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import absolute_sessions
 import numpy as np
 import pytest
 import synthetic
@@ -168,11 +169,21 @@ def test_a_diagnosis_says_what_to_do_with_it_and_does_not_say_that_nothing_is_to
 def test_a_known_station_turned_by_no_more_than_a_first_axis_is_off_is_usual(turned, usual) -> None:
     station = find_effect("station_registration")
     assert station.is_usual({f"w_{a}_A": w for a, w in zip("xyz", turned, strict=True)}, 0.0) == usual
-    assert station.usual_in == ("absolute",)  # in a loaded session so little does not show
+    unturned = {f"w_{a}_B": 0.0 for a in "xyz"}
+    assert station.is_usual({f"w_{a}_A": w for a, w in zip("xyz", turned, strict=True)} | unturned, 0.0) == usual
 
 
 @pytest.mark.parametrize(("scale", "usual"), [(1e-4, True), (-1e-4, True), (3e-4, False)])
 def test_lengths_that_are_off_by_a_tenth_of_a_millimetre_in_a_metre_are_usual_among_positions(scale, usual) -> None:
     tracker = find_effect("tracker_scale")
     assert tracker.is_usual({"s": scale}, 0.0) == usual
-    assert tracker.usual_in == ("absolute",)
+
+
+@pytest.mark.parametrize(("scale", "is_usual"), [(1e-4, True), (3e-4, False)])
+def test_what_is_usual_among_positions_is_no_cause_of_an_absolute_session(scale, is_usual) -> None:
+    made = absolute_sessions.session(poses=30, stated=True)
+    study = prepare(made, start_terms(made))
+    term = Term(find_effect("tracker_scale"), {"s": Estimate(scale, unit="1")})
+    rest = grow(study.bench, family_of(study), study.base)
+    one = Explanation((term,), study_of(study.observation, (*study.terms, term)), 0.0, rest)
+    assert usual(one, "tracker_scale") == is_usual

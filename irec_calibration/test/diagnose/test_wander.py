@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from absolute_sessions import session, torsion
+from absolute_sessions import THREE_MARKERS, session, torsion
 from irec_calibration.diagnose import diagnose
 from irec_calibration.diagnose.wander import wandering
 from irec_calibration.identification.marker_noise import by_marker
@@ -133,13 +133,11 @@ def test_a_slow_drift_of_an_absolute_session_does_not_pass_for_noise_that_wander
 def slow(course_of: Callable[[Array], Array], seed: int) -> Session:
     """Three markers of a robot on soft gears, poses 45 s apart, displaced besides by a course (n, 3), m, of the share of time."""
     bends = torsion(np.array([2e-6, 3e-6, 4e-6, 1e-5, 1e-5, 2e-5]))
-    places = ((0.03, -0.02, 0.1), (0.2, 0.0, 0.1), (-0.1, 0.15, 0.05))
-    markers = tuple(Marker(name, "tool0", xyz, known=False) for name, xyz in zip("ABC", places, strict=True))
 
     def moved(s: Session, p: Array) -> Array:
         return np.asarray(bends(s, p) + course_of(s.stamp / s.stamp.max()))
 
-    found = session(poses=45, seed=seed, noise=Noise(tracker_m=1.2e-5), markers=markers, moved=moved)
+    found = session(poses=45, seed=seed, noise=Noise(tracker_m=1.2e-5), markers=THREE_MARKERS, moved=moved)
     return replace(found, stamp=9.0 * found.stamp)
 
 
