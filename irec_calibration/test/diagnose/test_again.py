@@ -3,16 +3,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from irec_calibration.diagnose import again
 from irec_calibration.diagnose import build as building
 from irec_calibration.diagnose.build import Built, build
 from irec_calibration.diagnose.explanation import Explanation
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.standing import all_stand, standing
+from irec_calibration.diagnose.study import Study
 from irec_calibration.effects.scene import Scene
+from irec_calibration.identification.noise import Wander
+from irec_calibration.identification.observe import Observation
 from numpy.typing import NDArray
 from test_building_blocks import play_of_axis_4, study
 
@@ -65,3 +71,26 @@ def test_where_one_name_is_too_weak_not_all_stand(monkeypatch) -> None:
     weakest = found.final.ids[0]
     monkeypatch.setattr(module, "odds_of", lambda start, one, bare, effect_id, *_: 1.0 if effect_id == weakest else 100.0)
     assert all_stand(found.start, found.final, found.family, SETTINGS) == {}
+
+
+@pytest.mark.parametrize(("share", "built_with"), [(0.45, [True]), (0.55, [True, False])])
+def test_a_model_is_built_without_noise_that_wanders_where_most_of_the_noise_does(monkeypatch, share, built_with) -> None:
+    asked = study(play_of_axis_4)
+    seen = asked.observation
+    wander = Wander(share, 40.0, asked.ready.stamp[seen.rows], np.zeros(len(seen.rows), dtype=np.int64), seen.whiten.sigma)
+    absolute = replace(seen, session=replace(seen.session, kind="absolute"), whiten=replace(seen.whiten, wander=wander))
+    with_wander = []
+
+    def on(observation: Observation) -> Study:
+        return replace(asked, fit=replace(asked.fit, observation=observation))
+
+    def built_once(asked: Study, study: Study, *_: object) -> tuple[Study, Study, SimpleNamespace]:
+        with_wander.append(study.observation.whiten.wander is not None)
+        return asked, study, SimpleNamespace(final=None)
+
+    monkeypatch.setattr(again, "built_again", built_once)
+    monkeypatch.setattr(again, "at_level_beside", lambda observation, terms: observation)
+    monkeypatch.setattr(again, "study_of", lambda observation, terms: on(observation))
+    monkeypatch.setattr(again, "_log_odds", lambda one: 0.0)
+    again.built_either_way(on(absolute), on(absolute), lambda: None, lambda words: None)
+    assert with_wander == built_with
