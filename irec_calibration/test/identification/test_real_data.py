@@ -92,7 +92,7 @@ def test_wam_is_improved_by_the_side_a_joint_came_from_and_by_torsion(tmp_path):
     assert all(b < a for a, b in zip(errors, errors[1:])), errors
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_the_ur10_has_left_repeats_many_times_per_turn_of_its_joints(tmp_path):
     table = data("ipa_ur10_lasertracker") / "Series_D" / "measurements_iso_cubes.csv"
     told = improve(import_table(PROFILES / "ur10-ipa-d.profile.yaml", table, tmp_path))
