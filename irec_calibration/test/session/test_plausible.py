@@ -12,7 +12,7 @@ import synthetic
 from irec_calibration.cli import main
 from irec_calibration.errors import ImplausibleSession
 from irec_calibration.robot import Payload
-from irec_calibration.session import Noise, Session, write_table
+from irec_calibration.session import Marker, Noise, Session, write_table
 from irec_calibration.session.plausible import check_plausible, doubts
 from scipy.spatial.transform import Rotation
 
@@ -119,6 +119,12 @@ def test_a_gross_alteration_of_an_absolute_session_is_refused_with_its_reason(na
     session = alter(ABSOLUTE)
     session = replace(session, p_tcp_in_base=session.robot.kinematics(session.q).p_tcp)
     assert any(reason in d for d in doubts(session)), doubts(session)
+
+
+def test_markers_on_the_base_that_most_readings_are_of_are_no_doubt():
+    on_base = (Marker(name, "base_link", (0.3, 0.1, 0.0)) for name in ("B", "C"))
+    session = absolute_sessions.session(noise=Noise(tracker_m=1e-5), poses=60, markers=(*on_base, ABSOLUTE.markers[0]))
+    assert doubts(replace(session, p_tcp_in_base=session.robot.kinematics(session.q).p_tcp)) == ()
 
 
 @pytest.mark.parametrize("seed", range(3))
