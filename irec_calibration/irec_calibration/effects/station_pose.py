@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where an unknown tracker station stands: part of the base model of an `absolute` session."""
+"""Where a tracker station stands: part of the base model of an `absolute` session."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..session.data import Session
-from ..typing import Array, Json
+from ..typing import Array, BoolArray, Json
 from .base import Effect, Parameter
 from .scene import Scene
 from .traits import Cause, Family
@@ -21,7 +23,9 @@ class StationPose(Effect):
     physics = (
         "Pose of each tracker station in base_link, relative to where the nominal robot has it: a displacement and a "
         "rotation vector w. An unknown of every absolute session whose station is not known; it says nothing about the "
-        "robot."
+        "robot. Of a station that is known the place alone is free: it was measured against base_link, which no marker "
+        "shows, and the first axis stands beside that by some tenths of a millimetre; how far it is turned is "
+        "station_registration."
     )
     family = Family.INSTRUMENT
     acts_on = "instrument"
@@ -30,33 +34,36 @@ class StationPose(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         out = []
-        for i, s in enumerate(scene.stations):
-            if not scene.instruments.station_known[i]:
+        for s, known in zip(scene.stations, scene.instruments.station_known, strict=True):
+            if not known or scene.kind == "absolute":
                 out += [Parameter(f"{a}_{s}", "m", 1e-3, group=f"station {s}", flat=True) for a in AXES]
+            if not known:
                 out += [Parameter(f"w_{a}_{s}", "rad", 1e-3, group=f"station {s}", flat=True) for a in AXES]
         return tuple(out)
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         out = np.zeros((len(scene), 3))
         v = self._measured(scene)
-        for rows, d, w in self._by_station(scene, theta):
-            out[rows] = v[rows] - Rotation.from_rotvec(w).apply(v[rows]) - d
+        for _, rows, d, w in self._by_station(scene, theta):
+            out[rows] = -d if w is None else v[rows] - Rotation.from_rotvec(w).apply(v[rows]) - d
         return out
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         out = np.zeros((len(scene), 3, len(theta)))
         v = self._measured(scene)
-        for j, (rows, _, w) in enumerate(self._by_station(scene, theta)):
-            out[rows, :, 6 * j : 6 * j + 3] = -np.eye(3)
+        for first, rows, _, w in self._by_station(scene, theta):
+            out[rows, :, first : first + 3] = -np.eye(3)
+            if w is None:
+                continue
             turned = Rotation.from_rotvec(w).apply(v[rows])
-            out[rows, :, 6 * j + 3 : 6 * j + 6] = np.swapaxes(np.cross(turned[:, None, :], left_jacobian(w).T[None]), 1, 2)
+            out[rows, :, first + 3 : first + 6] = np.swapaxes(np.cross(turned[:, None, :], left_jacobian(w).T[None]), 1, 2)
         return out
 
     def placed(self, session: Session, values: dict[str, float]) -> Json:
         out: Json = {}
         for s in session.stations:
-            if f"w_x_{s.name}" in values:
-                d, w = (np.array([values[f"{p}{a}_{s.name}"] for a in AXES]) for p in ("", "w_"))
+            if f"x_{s.name}" in values:
+                d, w = (np.array([values.get(f"{p}{a}_{s.name}", 0.0) for a in AXES]) for p in ("", "w_"))
                 turned = Rotation.from_rotvec(w) * Rotation.from_quat(s.quat_xyzw)
                 out[s.name] = {"xyz": (np.array(s.xyz) + d).tolist(), "quat_xyzw": turned.as_quat().tolist()}
         return {"stations_in_base_link": out} if out else {}
@@ -66,9 +73,15 @@ class StationPose(Effect):
             return np.zeros((len(scene), 3))
         return np.nan_to_num(scene.measured_from_station)
 
-    def _by_station(self, scene: Scene, theta: Array) -> list[tuple[Array, Array, Array]]:
-        unknown = [i for i in range(len(scene.stations)) if not scene.instruments.station_known[i]]
-        return [(scene.station == i, theta[6 * j : 6 * j + 3], theta[6 * j + 3 : 6 * j + 6]) for j, i in enumerate(unknown)]
+    def _by_station(self, scene: Scene, theta: Array) -> Iterator[tuple[int, BoolArray, Array, Array | None]]:
+        """Index of its first value, rows, displacement and rotation vector of each station; None where that is known."""
+        first = 0
+        for i, known in enumerate(scene.instruments.station_known):
+            if known and scene.kind != "absolute":
+                continue
+            w = None if known else theta[first + 3 : first + 6]
+            yield first, scene.station == i, theta[first : first + 3], w
+            first += 3 if known else 6
 
 
 def left_jacobian(w: Array) -> Array:

@@ -73,7 +73,7 @@ def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observ
     own = geometry.effect.parameters(scene)
     names = [p.name for p in own]
     first = len(scale) - len(names)
-    springs = [observation.whiten(observation.of(c)).reshape(len(b), -1) for c in _springs(scene)]
+    springs = [observation.whiten(observation.of(c)).reshape(len(b), -1) for c in _never_noise(scene)]
     excess = _excess(np.asarray(np.linalg.qr(np.column_stack([A, *springs, b]), mode="r")), len(b))
     R = R[:, :-1]
     norm = np.linalg.norm(R, axis=0)
@@ -95,14 +95,16 @@ def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observ
     return {names[j - first] for j in chosen if j >= first}
 
 
-def _springs(scene: Scene) -> list[Array]:
-    """Columns of springs that a robot and what it stands on may have, (n, 3, p) each, in units of their scale.
+def _never_noise(scene: Scene) -> list[Array]:
+    """Columns of springs that a robot and what it stands on may have, and of what every known station has, (n, 3, p) each, in
+    units of their scale.
 
-    How far they sag is no noise, whether a model has them yet or not.
+    How far they sag, and how far a station is turned, is no noise, whether a model has them yet or not.
     """
     out = []
     for effect in known_effects().values():
-        own = effect.parameters(scene) if effect.elastic and not effect.completes and not absent(scene, effect.needs) else ()
+        there = (effect.elastic and not effect.completes) or scene.kind in effect.usual_in
+        own = effect.parameters(scene) if there and not absent(scene, effect.needs) else ()
         if own and not any(p.grid for p in own):
             (columns,) = regressors([Term(effect)], scene)
             out.append(columns * np.array([p.scale for p in own]))

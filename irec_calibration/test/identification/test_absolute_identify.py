@@ -91,11 +91,31 @@ def test_the_model_says_where_station_and_marker_stand():
     np.testing.assert_allclose(made["markers_in_tool0"]["M"], (0.03, -0.02, 0.1), atol=2e-5)
 
 
-def test_known_stations_and_markers_are_not_fitted():
+def test_of_a_known_station_the_place_alone_is_fitted_and_of_known_markers_nothing():
     fit = identify(session(noise=NOISE, stated=True), base_terms())
-    assert [t.effect.id for t in fit.terms] == ["geometry_error"]
+    station, geometry = fit.terms
+    assert (station.effect.id, set(station.estimates)) == ("station_pose", {"x_T", "y_T", "z_T"})
+    assert geometry.effect.id == "geometry_error"
     assert rms(fit.residual) < 1.05 * fit.observation.whiten.floor
-    assert "zero_1" in fit.terms[0].estimates  # now it can be told
+    assert "zero_1" in geometry.estimates  # now it can be told
+
+
+def test_where_the_first_axis_stands_beside_base_link_is_taken_for_the_place_of_a_known_station():
+    beside = np.array([3e-4, -2e-4, 1e-4])
+    fit = identify(session(noise=NOISE, stated=True, moved=lambda s, p: np.tile(beside, (len(p), 1))), base_terms())
+    assert rms(fit.residual) < 1.05 * fit.observation.whiten.floor
+    placed = model_of(fit).made["stations_in_base_link"]["T"]["xyz"]
+    np.testing.assert_allclose(np.subtract(placed, (2.5, -1.0, 0.8))[:2], -beside[:2], atol=2e-5)
+
+
+def test_a_turned_station_does_not_cost_geometric_parameters():
+    turn = np.array([4e-4, -3e-4, 5e-4])
+    known, turned = (
+        session(poses=30, noise=NOISE, stated=True, moved=moved)
+        for moved in (None, lambda s, p: np.cross(turn, p - np.array([2.5, -1.0, 0.8])))
+    )
+    names = [set(identify(s, base_terms()).terms[1].estimates) for s in (known, turned)]
+    assert names[0] == names[1]
 
 
 def test_two_stations_three_markers_one_on_the_base_and_rows_without_a_marker():
