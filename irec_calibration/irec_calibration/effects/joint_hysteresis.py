@@ -20,6 +20,9 @@ FRACTIONS_OF_RATED = (0.012, 0.03, 0.075)
 APART = 4.0  # factor between the thresholds of the sliders
 FREED = (0.0, 50.0, 250.0)
 ARRIVED = (-0.5, 0.0, 0.5)
+# rad of travel over which friction of an absolute session turns, nearly at once and more gently; twice the last at most
+TURNS_OVER = (1e-4, 0.01, 0.04)
+RESOLVED = 1e-4  # rad; a smaller step is none
 TURNS = 0.01  # rad of travel after which friction points against it
 SHAPE = 4  # parameters that enter nonlinearly, the last ones
 SLIDERS = ("h", "early", "late")  # of each axis, with thresholds r, r / APART, r APART
@@ -36,8 +39,8 @@ class JointHysteresis(Effect):
         "three sliders per axis, with thresholds r / 4, r and 4 r, since teeth and seals give way one after the other; "
         "motion of the joint frees what is held, by 1/e per 1 / freed. At the reference a share `arrived` of each threshold is "
         "held in the direction from which the joint came. Missing, "
-        "the same load reached from different sides disagrees; repeats reveal it. In absolute sessions the sign of the "
-        "last step decides."
+        "the same load reached from different sides disagrees; repeats reveal it. In absolute sessions the last step "
+        "decides: J_k lag_k tanh(step_k / over) / 2, since what is held turns over some travel."
     )
     family = Family.TORQUE_LAW
     needs = ("order",)
@@ -45,12 +48,14 @@ class JointHysteresis(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         if scene.kind == "absolute":
             limit = largest_lag(scene)
-            return tuple(
+            lags = tuple(
                 Parameter(
                     f"lag_{k + 1}", "rad", limit[k] / 30.0, plausible=(-limit[k], limit[k]), group=f"axis {k + 1}", axis=int(k)
                 )
                 for k in np.flatnonzero(scene.driven)
             )
+            sudden, *_, widest = TURNS_OVER
+            return (*lags, Parameter("over", "rad", 0.01, sudden, 2.0 * widest, start=sudden, grid=TURNS_OVER))
         scale = typical_compliance(scene.robot)
         axes = tuple(
             Parameter(
@@ -75,12 +80,14 @@ class JointHysteresis(Effect):
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         if scene.kind == "absolute":
-            return self._by_last_step(scene) @ theta
+            return self._by_last_step(scene, theta[-1]) @ theta[:-1]
         return self._columns(scene, *theta[-SHAPE:]) @ theta[:-SHAPE]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.kind == "absolute":
-            return self._by_last_step(scene)
+            step = 1e-3 * theta[-1]
+            wider, narrower = (self._by_last_step(scene, theta[-1] + d) @ theta[:-1] for d in (step, -step))
+            return np.concatenate([self._by_last_step(scene, theta[-1]), (wider - narrower)[:, :, None] / (2.0 * step)], axis=2)
         h, shape = theta[:-SHAPE], theta[-SHAPE:]
         columns = self._columns(scene, *shape)
         by_shape = np.zeros((len(scene), 3, SHAPE))
@@ -92,9 +99,9 @@ class JointHysteresis(Effect):
             by_shape[:, :, i] = change / (2.0 * step)
         return np.concatenate([columns, by_shape], axis=2)
 
-    def _by_last_step(self, scene: Scene) -> Array:
-        resolved = np.where(np.abs(scene.step) > 1e-4, np.sign(scene.step), 0.0)
-        return (0.5 * scene.J * resolved[:, None, :])[:, :, scene.driven]
+    def _by_last_step(self, scene: Scene, over: float) -> Array:
+        turned = np.where(np.abs(scene.step) > RESOLVED, np.tanh(scene.step / over), 0.0)
+        return (0.5 * scene.J * turned[:, None, :])[:, :, scene.driven]
 
     def _columns(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> Array:
         """Displacement per unit of each slider: minus the part of the torque that it holds (the stop operator)."""

@@ -135,7 +135,13 @@ def test_settling_and_friction_of_one_axis_are_named_where_both_together_are_bet
 
 
 @pytest.mark.parametrize(
-    ("axis", "law", "name"), [(1, np.sign, "joint_hysteresis"), (3, lambda step: 2.0 * step, "joint_settling")]
+    ("axis", "law", "name"),
+    [
+        (1, np.sign, "joint_hysteresis"),
+        (2, lambda step: 3.0 * np.tanh(step / 0.06), "joint_hysteresis"),
+        (3, lambda step: 2.0 * step, "joint_settling"),
+    ],
+    ids=("friction", "friction that turns over some travel", "settling"),
 )
 def test_friction_or_settling_is_named_where_a_curve_of_the_step_explains_as_much(axis, law, name) -> None:
     springs = torsion(np.array([2e-6, 3e-6, 4e-6, 1e-5, 1e-5, 2e-5]))
