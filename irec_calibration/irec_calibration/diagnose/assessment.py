@@ -44,7 +44,7 @@ class Assessment:
             effects that are there no larger than in every robot.
         study: the model with the added effects, cut down to the parts that they need; remainder: what is left beside it.
         evidence: what shows the structure that has no name: `repeats`, `held_out_structure`, `flexible_regression`,
-            `readings_that_stand_out`, `few_poses`.
+            `readings_that_stand_out`, `few_poses`, `wandering`.
         remaining_m: size of that structure, RMS over samples, m.
         hidden_m: how large a cause outside the catalogue could be and not be seen, m.
         explained: share of the explainable excess that the added effects explain.
@@ -116,7 +116,9 @@ def assess(
     if bare.p_value < settings.repeats_p:
         evidence.append("repeats")
     strongest = max((p.log_evidence for p in rest.structures), default=0.0)
-    if strongest > settings.nats_for_structure and _helps(study, known, block, rest, settings):
+    # where rows stand out, tails are heavy, and a structure may stand for some more of them
+    least = settings.nats_for_structure + settings.nats_per_bad_row * len(rest.bad_rows)
+    if strongest > least and _helps(study, known, block, rest, settings):
         evidence.append("held_out_structure")
     if flexible.significant:
         evidence.append("flexible_regression")
@@ -127,11 +129,14 @@ def assess(
         bad = only_bad_rows(study, built.family)
         if rest.gained - bad.gained > settings.nats_in_one_pose:
             evidence.append("few_poses")
-        elif strongest > settings.nats_for_structure:  # they may be bad readings as well, and are to be looked at
+        elif strongest > least:  # they may be bad readings as well, and are to be looked at
             rest = bad
     if not evidence and built.closest is not None:
         if one_cause_of_bad_rows(start, final, built.closest, built.family, settings):
             evidence.append("few_poses")
+    moves = wanders_too_far(study, noise, settings)
+    if moves > 0.0:
+        evidence.append("wandering")
     one_of, names, as_usual = [], [], list[str]()
     for i in final.ids:
         rivals = built.rivals.get(i, ())
@@ -152,7 +157,9 @@ def assess(
         depends_on = _depends_on(built, start, flexible, sought=True)
     else:
         depends_on = _depends_on(built, final, flexible, sought="few_poses" in evidence) if evidence else ()
-    remaining = _size(study, known, ground) if evidence and rest.structures else 0.0
+    if moves > 0.0 and "stamp" not in depends_on:
+        depends_on = (*depends_on, "stamp")
+    remaining = max(_size(study, known, ground) if evidence and rest.structures else 0.0, moves)
     if "repeats" in evidence:  # they know what is missing, whether or not a structure describes it
         remaining = max(remaining, _beside_repeats(study, bare))
     if "readings_that_stand_out" in evidence or "few_poses" in evidence:
@@ -168,6 +175,16 @@ def assess(
         float(remaining), _hidden(noise, len(study.bench.b), settings), explained, noise, bare, flexible, readings, base_cv,
         built.reason, asked, pruned.parts, other, tuple(as_usual),
     )  # fmt: skip
+
+
+def wanders_too_far(study: Study, noise: InferredNoise, settings: Settings) -> float:
+    """RMS of what wanders in time in a loaded session where that is far beyond what is stated of the noise, m; else 0.
+
+    There what wanders is measured within a pose, against its reference: no instrument that is as good as stated does that, nor
+    does a robot that stands still. In an absolute session a robot comes back to a pose less well than a tracker measures.
+    """
+    moves = float(noise.inferred_m * np.sqrt(noise.wander_share))
+    return moves if study.ready.kind == "loaded" and moves > settings.most_wandering * noise.claimed_m else 0.0
 
 
 def only_bad_rows(study: Study, family: Family) -> Remainder:

@@ -62,7 +62,7 @@ class Verdict:
         depends_on: session columns or `tau_k` that the rest depends on, strongest first.
         size_m: RMS of what is in the residual beyond noise, m; remaining_m: of what has structure beside the named effects.
         evidence: what shows that structure: `repeats`, `held_out_structure`, `flexible_regression`, `readings_that_stand_out`,
-            `few_poses`.
+            `few_poses`, `wandering`.
         one_of: sets of effects of which one is needed, likeliest first, where they are not told apart.
         usual: effects that are there as in every robot: part of an improved model, no cause to look for.
         hidden_m: how large a cause outside the catalogue could be and not be seen, m.

@@ -198,6 +198,10 @@ class Settings(Thresholds):
         5.0, "nats", "likelihood that noise correlated in time must gain over independent noise",
         "two parameters are fitted: by chance twice the gain is chi squared of two, above 10 in less than 1 % of sessions",
     )  # fmt: skip
+    most_wandering: float = threshold(
+        3.0, "times the stated noise", "RMS of what wanders in a loaded session, above which something moves",
+        "the level is known within a factor of two; of 300 sessions without such a cause none wandered by more than 1.8",
+    )  # fmt: skip
     wander_to_doubt: float = threshold(
         0.5, "share of variance", "of noise that wanders, above which an absolute session is built without it too",
         "chosen: 0.85 or 0.95 where a step or a drift had been taken for such noise; run time",

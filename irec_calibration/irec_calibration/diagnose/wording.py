@@ -26,6 +26,7 @@ ROWS_SHOWN = 4
 SHOWN_BY = {
     "readings_that_stand_out": "more than one reading in ten stands out and had to be put aside, too many for bad luck",
     "few_poses": "readings of few poses follow one law together far better than bad luck does, too few to test it on others",
+    "wandering": "within a pose readings wander by far more than such an instrument does, as if floor, stand or tool moved",
     "repeats": "repeats of the same sample agree better than that",
     "held_out_structure": "a smooth function of these variables lowers the error on held-out poses",
     "flexible_regression": "a flexible regression lowers the error on held-out poses",

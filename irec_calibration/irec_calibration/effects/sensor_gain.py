@@ -41,9 +41,12 @@ class SensorGain(Effect):
         return tuple(Parameter(n, "1", 0.03, -LIMIT, LIMIT, group="gain" if n in ("e_xx", "e_yy") else n) for n in NAMES)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
-        E = crosstalk(np.array([values.get(n, (0.0, 0.0))[0] for n in NAMES]))
+        value, se = np.nan_to_num(np.array([values.get(n, (0.0, 0.0)) for n in NAMES])).T
+        E = crosstalk(value)
         turns, rest = np.linalg.norm(E - E.T) / 2.0, np.linalg.norm(E + E.T) / 2.0
-        if turns == 0.0 or rest >= LEAST_BESIDE_TURNING * turns:
+        # what it is expected to be where there is none, by the errors of the values
+        by_chance = np.sqrt(2.0 * (se[:2] ** 2).sum() + 0.5 * (se[2:] ** 2).sum())
+        if turns <= by_chance or np.sqrt(max(rest**2 - by_chance**2, 0.0)) >= LEAST_BESIDE_TURNING * turns:
             return ""
         angle = turns / np.sqrt(2.0)
         return f"it turns the force by {angle:.3g} rad and changes it by less than a tenth of that: a turned sensor"

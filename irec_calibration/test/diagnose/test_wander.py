@@ -8,9 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic
 from absolute_sessions import THREE_MARKERS, session, torsion
 from irec_calibration.diagnose import diagnose
 from irec_calibration.diagnose.wander import wandering
+from irec_calibration.effects.scene import Scene
 from irec_calibration.identification.marker_noise import by_marker
 from irec_calibration.identification.noise import Wander, Whitening
 from irec_calibration.identification.observe import observe
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 NOISE = Noise(tracker_m=1.5e-5)
+LOADED_NOISE = Noise(tracker_m=8e-6, tracker_m_per_m=2e-6)
 SIZE, TIME = 4e-5, 40.0  # m, s; of what wanders in the sessions here
 
 
@@ -151,3 +154,17 @@ def test_a_step_beside_springs_that_are_not_known_yet_does_not_pass_for_noise_th
 def test_a_cell_that_warms_up_beside_springs_that_are_not_known_yet_does_not_pass_for_noise_that_wanders(seed: int) -> None:
     found = diagnose(slow(lambda share: 4e-4 * np.outer(-np.expm1(-1.3 * share), [0.6, 0.5, -0.62]), seed))
     assert set(found.verdict.effects) == {"joint_torsion", "thermal_drift"}
+
+
+@pytest.mark.parametrize(("times", "status"), [(2.0, "adequate"), (5.0, "unexplained")])
+def test_what_wanders_far_beyond_the_stated_noise_while_the_robot_stands_still_is_something_that_moves(times, status) -> None:
+    stated = LOADED_NOISE.tracker_m + 2.5 * LOADED_NOISE.tracker_m_per_m
+
+    def sways(scene: Scene) -> Array:
+        return times * stated * course(scene.stamp, 3, 60.0)
+
+    verdict = diagnose(synthetic.session(poses=40, seed=3, noise=LOADED_NOISE, extra=sways)).verdict
+    assert verdict.status == status, verdict.text
+    if status == "unexplained":
+        assert verdict.evidence == ("wandering",) and verdict.depends_on == ("stamp",)
+        assert verdict.remaining_m > 3.0 * stated
