@@ -297,6 +297,8 @@ def _depends_on(built: Built, one: Explanation, flexible: Flexible, *, sought: b
         add(p.structure.variables)
     if not parts:
         add(flexible.variables)
+    elif not out and one.study.ready.kind == "loaded":
+        add(("load_case",))  # what is the same in all loaded rows is not there at the reference
     return tuple(out[: SETTINGS.most_depended_on])
 
 

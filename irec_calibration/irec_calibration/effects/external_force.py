@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -64,23 +63,17 @@ class ExternalForce(Effect):
             stiffness("k_wrist", "at the wrist towards a point"),
         )
 
+    def displacement(self, scene: Scene, theta: Array) -> Array:
+        if scene.elastic is None:
+            return np.zeros((len(scene), 3))
+        out: Array = np.einsum("nij,nj->ni", scene.elastic.compliance, _wrenches(scene) @ theta)
+        return out
+
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.elastic is None:
             return np.zeros((len(scene), 3, len(self.parameters(scene))))
-        by_force = scene.elastic.compliance * scene.rows.under_load[:, None, None]
-        in_tool, by_torque = by_force[:, :, :3], by_force[:, :, 3:]
-        in_base = np.einsum("nij,nkj->nik", in_tool, scene.kin.R_tool)
-        towards = -np.einsum("nij,nj->ni", in_base, scene.p_tcp)[:, :, None]
-        by_wrist = [in_base * t(scene.q[:, k])[:, None, None] for k in _wrist(scene) for t in (np.sin, np.cos)]
-        k = _forearm(scene)
-        frame = np.concatenate([scene.kin.axis[:, k, None], scene.kin.virtual_axis[:, k]], axis=1)
-        with_forearm = np.einsum("nij,ndj->nid", in_base, frame)
-        p_wrist = scene.kin.origin[:, _wrist_centre(scene)]
-        lever = p_wrist - scene.p_tcp
-        moments = np.stack([np.cross(lever, e) for e in np.eye(3)], axis=2)  # of each unit force in base_link
-        at_wrist = in_base + np.einsum("nij,nkj,nkl->nil", by_torque, scene.kin.R_tool, moments)
-        towards_wrist = -np.einsum("nij,nj->ni", at_wrist, p_wrist)[:, :, None]
-        return np.concatenate([in_base, in_tool, towards, *by_wrist, with_forearm, by_torque, at_wrist, towards_wrist], axis=2)
+        out: Array = scene.elastic.compliance @ _wrenches(scene)
+        return out
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         at_tcp, at_wrist = [f"f_{a}" for a in AXES], [f"f_{a}_wrist" for a in AXES]
@@ -104,21 +97,48 @@ class ExternalForce(Effect):
         )
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
-        return np.asarray(np.einsum("nijp,nj->nip", change.compliance, np.concatenate(self.pull(scene, theta), axis=1)))
+        return np.asarray(np.einsum("nijp,nj->nip", change.compliance, _wrenches(scene) @ theta))
 
     def pull(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
-        force, torque = (self.displacement(replace(scene, elastic=_unit(len(scene), part)), theta) for part in range(2))
-        return force, torque
+        wrench = _wrenches(scene) @ theta
+        return wrench[:, :3], wrench[:, 3:]
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Pull(theta, _wrist(scene), _forearm(scene), _wrist_centre(scene))
 
 
-def _unit(rows: int, part: int) -> ElasticResponse:
-    """A response that gives back the force (part 0) or the torque (1) in tool0."""
-    compliance = np.zeros((rows, 3, 6))
-    compliance[:, :, 3 * part : 3 * part + 3] = np.eye(3)
-    return ElasticResponse(np.zeros((rows, 3)), np.zeros((rows, 3)), compliance)
+def _wrenches(scene: Scene) -> Array:
+    """Wrench in tool0 by one of each parameter, (n, 6, p), N and N m; kept with the view, since fits ask thousands of times."""
+    rows, known = scene.view.kept.get("pulls", (None, None))
+    if rows is not scene.rows:
+        known = _wrenches_anew(scene)
+        scene.view.kept["pulls"] = scene.rows, known
+    return np.asarray(known)
+
+
+def _wrenches_anew(scene: Scene) -> Array:
+    in_tool = np.swapaxes(scene.kin.R_tool, 1, 2)  # of each unit force in base_link
+    none, unit = np.zeros_like(in_tool), np.tile(np.eye(3), (len(scene), 1, 1))
+    by_wrist = [in_tool * t(scene.q[:, k])[:, None, None] for k in _wrist(scene) for t in (np.sin, np.cos)]
+    k = _forearm(scene)
+    frame = np.concatenate([scene.kin.axis[:, k, :, None], np.swapaxes(scene.kin.virtual_axis[:, k], 1, 2)], axis=2)
+    p_wrist = scene.kin.origin[:, _wrist_centre(scene)]
+    lever = p_wrist - scene.p_tcp
+    moments = in_tool @ np.stack([np.cross(lever, e) for e in np.eye(3)], axis=2)
+    force = [in_tool, unit, -in_tool @ scene.p_tcp[:, :, None], *by_wrist, in_tool @ frame]
+    wrist = np.concatenate([in_tool, moments], axis=1)
+    return (
+        np.concatenate(
+            [
+                *(np.concatenate([columns, np.zeros_like(columns)], axis=1) for columns in force),
+                np.concatenate([none, unit], axis=1),
+                wrist,
+                -wrist @ p_wrist[:, :, None],
+            ],
+            axis=2,
+        )
+        * scene.rows.under_load[:, None, None]
+    )
 
 
 def _wrist(scene: Scene) -> list[int]:

@@ -154,6 +154,14 @@ def test_a_cause_outside_the_catalogue_is_unexplained_and_its_variable_is_named(
     assert "stamp" in verdict.depends_on
 
 
+def test_what_is_the_same_in_all_loaded_rows_depends_on_there_being_a_load() -> None:
+    def face_closes(scene: Scene) -> Array:
+        return np.asarray(scene.kin.R_tool @ [1e-4, 0.0, 0.0] * (scene.load_case > 0)[:, None])
+
+    verdict = diagnose(synthetic.session(poses=24, seed=2, extra=face_closes)).verdict
+    assert (verdict.status, verdict.effects, verdict.depends_on) == ("unexplained", (), ("load_case",)), verdict.text
+
+
 def test_play_in_a_bearing_is_not_taken_for_play_in_a_gear() -> None:
     verdict = diagnosis(play_in_the_bearing_of_axis_5).verdict
     assert verdict.status == "unexplained", verdict.text
