@@ -202,6 +202,10 @@ class Settings(Thresholds):
         3.0, "times the stated noise", "RMS of what wanders in a loaded session, above which something moves",
         "the level is known within a factor of two; of 300 sessions without such a cause none wandered by more than 1.8",
     )  # fmt: skip
+    misplaced_m: float = threshold(
+        2e-3, "m", "from where a known station is stated to where it is found, beyond which it is said",
+        "three times what links of calibrated robots are off by",
+    )  # fmt: skip
     wander_to_doubt: float = threshold(
         0.5, "share of variance", "of noise that wanders, above which an absolute session is built without it too",
         "chosen: 0.85 or 0.95 where a step or a drift had been taken for such noise; run time",

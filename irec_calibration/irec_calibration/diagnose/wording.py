@@ -17,6 +17,7 @@ from .part_sets import Parts
 from .result import Candidate, Comparison, Measurement, Verdict
 from .settings import SETTINGS
 from .shown import Shown
+from .study import Study
 from .tool_weight import READ_AT_REFERENCES
 
 FEW_POSES = 5
@@ -66,6 +67,7 @@ def verdict_of(
     parts += _form(shown)
     parts += [f"The improved model has {_label(i)} as every robot has it: no cause to look for." for i in assessment.usual]
     parts += _stands_in(shown)
+    parts += _misplaced(assessment.study)
     parts += _noise(assessment.noise)
     parts += _bad_rows(assessment)
     if assessment.status == "adequate":
@@ -138,6 +140,21 @@ def _noise(noise: InferredNoise) -> list[str]:
         f"The noise that the session states, {length(noise.claimed_m)}, is {times:.1f} times too {small}:"
         f" {where} {length(noise.inferred_m)} ({length(noise.low_m)} to {length(noise.high_m)}).",
         *wanders,
+    ]
+
+
+def _misplaced(study: Study) -> list[str]:
+    """Stations whose place is stated and found farther from it than a robot's first axis is from base_link."""
+    values = {n: e.value for t in study.terms if t.effect.id == "station_pose" for n, e in t.estimates.items()}
+    off = {
+        s.name: float(np.linalg.norm([values[f"{a}_{s.name}"] for a in "xyz"]))
+        for s in study.session.stations
+        if s.known and f"x_{s.name}" in values
+    }
+    return [
+        f"Station {name} stands {length(d)} from where the session states it: measure its pose anew."
+        for name, d in off.items()
+        if d > SETTINGS.misplaced_m
     ]
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from absolute_sessions import session, torsion
 from irec_calibration.diagnose import compare, diagnose, improve
 from irec_calibration.identification.identify import default_terms, identify
@@ -50,3 +51,11 @@ def test_a_model_is_compared_with_another_session_of_the_robot_whose_station_sta
     other = session(poses=30, seed=9, noise=NOISE)
     result = compare(other, model.terms)
     assert result.rms_m < 1.5 * result.noise_floor_m
+
+
+@pytest.mark.parametrize(("off", "said"), [(5e-4, False), (5e-3, True)])
+def test_a_known_station_that_stands_far_from_where_it_is_stated_is_said(off: float, said: bool) -> None:
+    made = session(poses=40, noise=NOISE, stated=True, moved=lambda s, p: np.tile([off, 0.0, 0.0], (len(p), 1)))
+    verdict = diagnose(made).verdict
+    assert verdict.status == "adequate"
+    assert ("Station T stands 5.00 mm from where the session states it" in verdict.text) == said, verdict.text
