@@ -25,7 +25,7 @@ def scene_of(session: Session, *, observe: str = "marker") -> Scene:
     n = len(session)
     previous = _previous_row(session)
     has_previous = previous >= 0
-    on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker]
+    on_tool = session.on_tool
     p_observed = marker_by_controller(session, kin) if observe == "marker" else session.p_tcp_in_base
     from_station = modelled = None
     if observe == "marker" and session.contact is None:
@@ -82,7 +82,7 @@ def _gravity(session: Session, kin: Kinematics) -> Array:
 def marker_by_controller(session: Session, kin: Kinematics) -> Array:
     """Where the controller (or the URDF) believes the marker to be, in base_link, (n, 3), m."""
     xyz = np.array([m.xyz for m in session.markers])[session.marker]
-    on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker]
+    on_tool = session.on_tool
     p_on_tool = session.p_tcp_in_base + np.einsum("nij,nj->ni", kin.R_tool, xyz)
     return np.where(on_tool[:, None], p_on_tool, xyz)
 

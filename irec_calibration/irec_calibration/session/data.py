@@ -186,6 +186,11 @@ class Session:
         return np.logical_not(np.isnan(self.p_marker_in_station).any(axis=1))
 
     @property
+    def on_tool(self) -> BoolArray:
+        """Rows whose marker is on the tool, shape (n,); the others' is on base_link."""
+        return np.array([m.link == "tool0" for m in self.markers])[self.marker]
+
+    @property
     def poses(self) -> IntArray:
         """Distinct pose numbers, ascending."""
         return np.unique(self.pose)

@@ -229,8 +229,7 @@ def _placed_elsewhere(placing: _Placing) -> str:
 def _registration(session: Session) -> list[str]:
     """An absolute session against the robot description, stations and markers placed as well as can be."""
     # a marker on base_link is where it is, whatever the robot description says
-    on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker]
-    rows = np.flatnonzero(session.marker_seen & on_tool)
+    rows = np.flatnonzero(session.marker_seen & session.on_tool)
     if len(rows) < 12:
         return []
     some = session.select(rows[_some(len(rows))])

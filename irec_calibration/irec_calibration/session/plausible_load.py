@@ -150,5 +150,5 @@ def marker_as_believed(session: Session) -> Array:
     """Where the controller believes the marker, (n, 3), m."""
     kin = session.robot.kinematics(session.q)
     xyz = np.array([m.xyz for m in session.markers])[session.marker]
-    on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker]
+    on_tool = session.on_tool
     return np.where(on_tool[:, None], session.p_tcp_in_base + np.einsum("nij,nj->ni", kin.R_tool, xyz), xyz)

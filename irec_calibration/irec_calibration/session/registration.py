@@ -55,7 +55,7 @@ def registered(session: Session, kin: Kinematics) -> Session:
     if session.kind == "loaded" or not (free_s or free_m) or len(rows) < 3:
         return session
     rows = _enough(session, rows)
-    on_tool = np.array([m.link == "tool0" for m in session.markers])[session.marker[rows]]
+    on_tool = session.on_tool[rows]
     data = _Rows(
         session.station[rows],
         session.marker[rows],

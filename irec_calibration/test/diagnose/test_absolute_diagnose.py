@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from absolute_sessions import session, torsion
@@ -53,9 +55,9 @@ def test_a_model_is_compared_with_another_session_of_the_robot_whose_station_sta
     assert result.rms_m < 1.5 * result.noise_floor_m
 
 
-@pytest.mark.parametrize(("off", "said"), [(5e-4, False), (5e-3, True)])
-def test_a_known_station_that_stands_far_from_where_it_is_stated_is_said(off: float, said: bool) -> None:
+@pytest.mark.parametrize(("off", "said"), [(5e-4, []), (5e-3, ["Station T stands 5.00 mm from where the session states it"])])
+def test_a_known_station_that_stands_far_from_where_it_is_stated_is_said(off: float, said: list[str]) -> None:
     made = session(poses=40, noise=NOISE, stated=True, moved=lambda s, p: np.tile([off, 0.0, 0.0], (len(p), 1)))
     verdict = diagnose(made).verdict
     assert verdict.status == "adequate"
-    assert ("Station T stands 5.00 mm from where the session states it" in verdict.text) == said, verdict.text
+    assert re.findall("Station [^:]*", verdict.text) == said

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import Diagnosis, add_effect, diagnose, improve, remove_effect, start_terms
+from irec_calibration.diagnose.assessment import assess
 from irec_calibration.diagnose.attempt import attempt
+from irec_calibration.diagnose.build import Built, build
 from irec_calibration.diagnose.evidence import Block
 from irec_calibration.diagnose.held_out import held_out
 from irec_calibration.diagnose.settings import SETTINGS
@@ -154,12 +156,31 @@ def test_a_cause_outside_the_catalogue_is_unexplained_and_its_variable_is_named(
     assert "stamp" in verdict.depends_on
 
 
-def test_what_is_the_same_in_all_loaded_rows_depends_on_there_being_a_load() -> None:
-    def face_closes(scene: Scene) -> Array:
-        return np.asarray(scene.kin.R_tool @ [1e-4, 0.0, 0.0] * (scene.load_case > 0)[:, None])
+def face_closes(scene: Scene) -> Array:
+    """A tool that shifts by 0.1 mm as soon as there is a load."""
+    return np.asarray(scene.kin.R_tool @ [1e-4, 0.0, 0.0] * (scene.load_case > 0)[:, None])
 
+
+def test_what_is_the_same_in_all_loaded_rows_depends_on_there_being_a_load() -> None:
     verdict = diagnose(synthetic.session(poses=24, seed=2, extra=face_closes)).verdict
     assert (verdict.status, verdict.effects, verdict.depends_on) == ("unexplained", (), ("load_case",)), verdict.text
+
+
+@cache
+def of_a_tool_that_shifts_and_a_bad_row() -> tuple[Study, Built]:
+    measured = synthetic.session(poses=24, seed=2, extra=face_closes)
+    marker = measured.p_marker_in_station.copy()
+    marker[40, 0] += 1.5e-4
+    measured = replace(measured, p_marker_in_station=marker)
+    study = prepare(measured, start_terms(measured)).to_weigh
+    return study, build(study)
+
+
+@pytest.mark.parametrize(("for_each", "shown"), [(1.0, ("held_out_structure",)), (10.0, ())])
+def test_structure_needs_more_evidence_for_each_reading_that_stands_out(for_each: float, shown: tuple[str, ...]) -> None:
+    study, built = of_a_tool_that_shifts_and_a_bad_row()
+    found = assess(study, built, None, settings=replace(SETTINGS, nats_per_bad_row=for_each))
+    assert len(found.remainder.bad_rows) == 1 and found.evidence == shown
 
 
 def test_play_in_a_bearing_is_not_taken_for_play_in_a_gear() -> None:
