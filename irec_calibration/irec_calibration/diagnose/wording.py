@@ -10,6 +10,7 @@ import numpy as np
 from ..effects import find_effect
 from ..identification.noise import InferredNoise
 from ..lengths import length
+from ..typing import Json
 from .assessment import Assessment
 from .explanation import implausible
 from .next_poses import repeats_to_tell
@@ -145,12 +146,13 @@ def _noise(noise: InferredNoise) -> list[str]:
 
 def _misplaced(study: Study) -> list[str]:
     """Stations whose place is stated and found farther from it than a robot's first axis is from base_link."""
-    values = {n: e.value for t in study.terms if t.effect.id == "station_pose" for n, e in t.estimates.items()}
-    off = {
-        s.name: float(np.linalg.norm([values[f"{a}_{s.name}"] for a in "xyz"]))
-        for s in study.session.stations
-        if s.known and f"x_{s.name}" in values
-    }
+    placed: dict[str, Json] = {}
+    for term in study.terms:
+        if term.effect.registers:
+            values = {n: e.value for n, e in term.estimates.items()}
+            placed |= term.effect.placed(study.session, values).get("stations_in_base_link", {})
+    stated = {s.name: s.xyz for s in study.session.stations if s.known and s.name in placed}
+    off = {name: float(np.linalg.norm(np.subtract(placed[name]["xyz"], xyz))) for name, xyz in stated.items()}
     return [
         f"Station {name} stands {length(d)} from where the session states it: measure its pose anew."
         for name, d in off.items()
