@@ -62,6 +62,7 @@ class Operator:
         self.node = rclpy.create_node("operator")
         self.action = ActionClient(self.node, RunProcedure, "irec/run_procedure")
         self.feedback: list[RunProcedure.Feedback] = []
+        self.handle: Any = None  # of the run that was started last
         self.robot: RobotState | None = None
         self.seen = SeenBy.of_action(self.node, "irec/run_procedure")
         self.p_tcp = np.full(3, np.nan)
@@ -91,7 +92,8 @@ class Operator:
             RunProcedure.Goal(**goal), feedback_callback=lambda m: self.feedback.append(m.feedback)
         )
         self.until(future.done)
-        return future.result()
+        self.handle = future.result()
+        return self.handle
 
     def end(self, handle: Any) -> Any:
         """Status and result of a run."""
@@ -104,7 +106,7 @@ class Operator:
             if any(f.state == state and f.pose == pose for f in self.feedback):
                 return True
             if any(f.state == "finished" for f in self.feedback):  # it can't come any more
-                pytest.fail(f"the run ended before {state} of pose {pose}; feedback: {self.feedback[-3:]}")
+                pytest.fail(f"the run ended before {state} of pose {pose}: {self.end(self.handle).result.message}")
             return False
 
         self.until(there)
