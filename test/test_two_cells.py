@@ -97,7 +97,7 @@ def test_two_cells_measure_and_correct_side_by_side_on_one_graph(ros_domain: int
     poses = write_poses(pose_list(cell, make_plan(cell, 2, pool_size=40)), tmp_path / "poses.yaml")
     model, sessions, sides = a_model(tmp_path / "m"), tmp_path / "sessions", ("left", "right")
     quick = quick_cell(tmp_path)
-    for side, speed in zip(sides, (4.0, 3.0), strict=True):
+    for side, speed in zip(sides, (2.0, 1.5), strict=True):
         common = {"cell": quick, "use_sim_time": "true"}
         start_process(node("irec_sim.nodes.cell_node", side, cell=quick, speed_factor=speed), name=f"{side}_cell")
         procedure = node("irec_calibration.nodes.procedure_node", side, **common, session_folder=sessions)
