@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
 import py_compile
 import re
+import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -53,6 +55,28 @@ def test_the_simulator_imports_nothing_that_it_is_meant_to_test():
 
 def test_the_calibration_imports_neither_correction_nor_simulator():
     assert not [p for p in sources("irec_calibration") if imports(p) & {"irec_correction", "irec_sim"}]
+
+
+def after_import(package: str, expression: str, threads: dict[str, str]) -> str:
+    """What an expression is in a process of its own that has imported a package and nothing else."""
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")} | threads
+    command = [sys.executable, "-c", f"import os, sys, {package}; print({expression})"]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=True).stdout.strip()
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_small_matrices_are_computed_by_one_thread(package):
+    assert after_import(package, "os.environ.get('OPENBLAS_NUM_THREADS')", {}) == "1"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_how_many_threads_compute_is_settled_before_numpy_is_loaded(package):
+    assert after_import(package, "'numpy' in sys.modules", {}) == "False"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_number_of_threads_that_somebody_has_set_stays(package):
+    assert after_import(package, "os.environ.get('OPENBLAS_NUM_THREADS')", {"OPENBLAS_NUM_THREADS": "3"}) == "3"
 
 
 @pytest.mark.parametrize("package", PACKAGES)

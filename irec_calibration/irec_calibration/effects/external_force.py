@@ -42,6 +42,10 @@ class ExternalForce(Effect):
     needs = ("relaxed",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        kept: dict[str, tuple[Parameter, ...]] = scene.view.kept  # the same whatever the load: asked by every scene of a fit
+        return kept.get("pull parameters") or kept.setdefault("pull parameters", self._parameters(scene))
+
+    def _parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         def pull(name: str, group: str) -> Parameter:
             return Parameter(name, "N", 20.0, plausible=(-1000.0, 1000.0), group=group)
 

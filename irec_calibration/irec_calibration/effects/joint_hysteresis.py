@@ -81,7 +81,10 @@ class JointHysteresis(Effect):
     def displacement(self, scene: Scene, theta: Array) -> Array:
         if scene.kind == "absolute":
             return self._by_last_step(scene, theta[-1]) @ theta[:-1]
-        return self._columns(scene, *theta[-SHAPE:]) @ theta[:-SHAPE]
+        h = np.zeros((len(SLIDERS), scene.n_joints))
+        h[:, scene.driven] = theta[:-SHAPE].reshape(len(SLIDERS), -1)
+        out: Array = np.einsum("nik,nk->ni", scene.J, (self._held(scene, *theta[-SHAPE:]) * h).sum(axis=1))
+        return out
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.kind == "absolute":
@@ -104,7 +107,12 @@ class JointHysteresis(Effect):
         return (0.5 * scene.J * turned[:, None, :])[:, :, scene.driven]
 
     def _columns(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> Array:
-        """Displacement per unit of each slider: minus the part of the torque that it holds (the stop operator)."""
+        """Displacement per unit of each slider."""
+        held = self._held(scene, fraction, spread, freed, arrived)
+        return np.concatenate([(scene.J * held[:, None, i])[:, :, scene.driven] for i in range(len(SLIDERS))], axis=2)
+
+    def _held(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> Array:
+        """Minus the part of the torque that each slider holds (the stop operator), (n, sliders, k)."""
         r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
         played = np.zeros((len(scene), len(r), scene.n_joints))
         came = np.tanh(travel_to_reference(scene) / TURNS) if arrived else np.zeros_like(scene.q)
@@ -114,8 +122,7 @@ class JointHysteresis(Effect):
                 before = scene.previous[rows]
                 last = released(played[before], scene.tau_acting[before][:, None], freed * scene.step[rows][:, None])
             played[rows] = np.clip(last, tau - r, tau + r)
-        held = by_slider(played - scene.tau_acting[:, None, :], 1)
-        return np.concatenate([(scene.J * held[:, None, i])[:, :, scene.driven] for i in range(len(SLIDERS))], axis=2)
+        return by_slider(played - scene.tau_acting[:, None, :], 1)
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         if not theta[:-SHAPE].any():

@@ -87,6 +87,16 @@ class Arm:
         """Unit vector of each actuated axis in the joint's own frame, (k, 3)."""
         return np.einsum("kji,kj->ki", self.kin.R_joint[0], self.kin.axis[0])
 
+    @cached_property
+    def J_tcp(self) -> Array:
+        """Translational Jacobian of the actuated axes at the TCP, Eq. (2)-(3), (n, 3, k)."""
+        return _fixed(self.kin.jacobian(self.p_tcp))
+
+    @cached_property
+    def V_tcp(self) -> Array:
+        """The same for the virtual axes, (n, 3, 2k), ordered 1a, 1b, 2a, ..."""
+        return _fixed(self.kin.virtual_jacobian(self.p_tcp))
+
     def followed(self, per_joint: Array) -> Array:
         """Quantities per joint that act on coordinates, (n, ..., k), carried over to the driven joints that passive ones
         follow."""
@@ -152,7 +162,7 @@ class Load:
     def tau(self) -> Array:
         """Torque about each actuated axis, Eq. (9), (n, k), N m."""
         kin = self.arm.kin
-        from_force = np.einsum("nik,ni->nk", kin.jacobian(self.arm.p_tcp), self.force)
+        from_force = np.einsum("nik,ni->nk", self.arm.J_tcp, self.force)
         from_torque = np.einsum("nki,ni->nk", kin.axis, self.torque)
         return _fixed(self.arm.followed(from_force + np.where(kin.is_prismatic, 0.0, from_torque)))
 
@@ -160,7 +170,7 @@ class Load:
     def tau_virtual(self) -> Array:
         """Torque about each virtual axis, Eq. (9), (n, 2k), N m."""
         kin = self.arm.kin
-        from_force = np.einsum("nik,ni->nk", kin.virtual_jacobian(self.arm.p_tcp), self.force)
+        from_force = np.einsum("nik,ni->nk", self.arm.V_tcp, self.force)
         from_torque = np.einsum("nkvi,ni->nkv", kin.virtual_axis, self.torque)
         return _fixed(from_force + from_torque.reshape(from_force.shape))
 
