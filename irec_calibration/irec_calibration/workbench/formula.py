@@ -19,6 +19,7 @@ from ..errors import EffectError
 TARGETS = ("axis ", "tool x: ", "tool y: ", "tool z: ", "base x: ", "base y: ", "base z: ")
 SHORT = re.compile(r"[A-Za-z]_?\d*")
 MANY_AXES = 9
+NAMED_BY_SESSION = ("temp_", "ext_")
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def check(text: str, variables: Sequence[str] = (), declared: Collection[str] = 
     names = _names(tree)
     base = offset + len(expression) - len(expression.lstrip())
     for name, column in names:
-        if known and _looks_like_variable(name) and name not in known:
+        if _looks_like_variable(name) and name not in known and (variables or not name.startswith(NAMED_BY_SESSION)):
             return Checked(f"'{name}' is not in this session.", base + column)
         if axis is None and name in ("tau", "tau_g", "q", "step"):
             return Checked(f"'{name}' needs a target axis: write {name}_1, or begin with 'axis 1:'.", base + column)

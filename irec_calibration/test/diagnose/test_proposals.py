@@ -12,10 +12,13 @@ import pytest
 import synthetic
 from irec_calibration.cli import main
 from irec_calibration.diagnose import diagnose
+from irec_calibration.diagnose.proposals import _formulas
 from irec_calibration.diagnose.result import Diagnosis
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from irec_calibration.report.next_steps import after_diagnosis
 from irec_calibration.session import write_table
+from irec_calibration.workbench.formula import undeclared
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -60,6 +63,14 @@ def test_the_proposed_formula_can_be_added_as_it_stands(
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)
     assert found.proposals[0].formula in (tmp_path / "m2.yaml").read_text()
+
+
+def test_every_formula_that_may_be_proposed_can_be_read_by_the_command_that_adds_it() -> None:
+    scene = scene_of(synthetic.session(poses=4, seed=8))
+    variables = ("tau_2", "joint_3", "force_x", "load_case", "stamp", "temp_gear_2", "ext_rail")
+    written = list(_formulas(scene, variables, [2]))
+    assert len(written) > 50
+    assert all(undeclared(text, []) == () for text in written)
 
 
 def test_the_command_that_adds_the_best_formula_is_among_the_next_steps(found: Diagnosis) -> None:

@@ -65,3 +65,8 @@ def test_a_declared_parameter_that_does_not_occur_is_refused():
 def test_a_message_says_at_which_character_the_error_is():
     with pytest.raises(EffectError, match="is not in this session, at character 13: 'temp_oil'"):
         undeclared("axis 3: c * temp_oil", [], VARIABLES)
+
+
+@pytest.mark.parametrize("name", ["temp_gear_3", "ext_rail"])
+def test_what_only_a_session_names_is_accepted_where_no_session_is_given(name):
+    assert undeclared(f"axis 3: tau * (a * {name} + b * {name}**2)", []) == ()
