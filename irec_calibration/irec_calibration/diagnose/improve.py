@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from ..effects import Effect, Evidence
+from ..effects.formula import FormulaEffect
 from ..errors import Cancelled, EffectError, ModelError
 from ..identification.provenance import model_of
 from ..identification.validation import ESTIMATOR
@@ -62,7 +63,15 @@ class Rung:
             return " + ".join(self.effects)
         if self.one_of:
             return f"+ {' or '.join(self.one_of)}"
-        return f"+ {self.added}" if self.named else f"+ {self.added} ({'usual' if self.usual else 'no name'})"
+        if self.stands_in:
+            return f"+ {self.formula or self.added} (no name)"
+        return f"+ {self.added}{' (usual)' if self.usual else ''}"
+
+    @property
+    def formula(self) -> str:
+        """The formula of the addition where it is one, else an empty string."""
+        added = (t.effect for t in self.model.terms if t.effect.id == self.added)
+        return next((e.formula for e in added if isinstance(e, FormulaEffect)), "")
 
     @property
     def stands_in(self) -> bool:
@@ -98,6 +107,7 @@ class Ladder:
                 "named": r.named,
                 "one_of": list(r.one_of),
                 "usual": r.usual,
+                **({"formula": r.formula} if r.formula else {}),
             }
             for r in self.rungs
         ]
@@ -145,7 +155,7 @@ def improve(
     if shown.without_form is not None:
         rungs.append(_rung(shown.after, "+".join(shown.form), shown.form_evidence, rungs[-1].model, assessment.parts))
     for extra in shown.stand_ins:
-        rungs.append(replace(_rung(extra.model, extra.effect_id, extra.evidence, rungs[-1].model), named=False))
+        rungs.append(replace(_rung(extra.model, extra.effect.id, extra.evidence, rungs[-1].model), named=False))
     readings = assessment.readings
     if assessment.weight_wrong and readings is not None and READ_AT_REFERENCES.id not in rungs[-1].effects:
         term = next(c.term for c in before.candidates if c.effect == READ_AT_REFERENCES.id)

@@ -23,7 +23,7 @@ from .explanation import (
     without,
 )
 from .family import Family
-from .forms import NO_FORMS, Forms, bends, steps
+from .forms import NO_FORMS, Forms, bends, forms_of, steps
 from .held_out import held_out, only_good_poses
 from .lasting import lasts
 from .readings import along_readings
@@ -143,8 +143,20 @@ def odds_of(
         odds -= settings.share_of_form * max(in_place - left, 0.0)
     if in_one_pose(one, effect_id):
         return odds
+    odds -= lent_by_drifts(start, one, bare, effect_id, family, settings)
     odds = max(odds, with_others_by_step(start, one, bare, effect_id, family))
     return max(odds, min(odds + needed(one, effect_id, settings) - settings.nats_over_structure, own))
+
+
+def lent_by_drifts(
+    start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings
+) -> float:
+    """Evidence that a step in time may have from drifts beside it, nats: these have their form only nearly, and it mends it."""
+    scene = one.study.ready
+    if one.term(effect_id).effect.family is not Alike.TIME or forms_of(one.term(effect_id), scene).drifts:
+        return 0.0
+    drifts = [t.effect.id for t in bare.added if forms_of(t, scene).drifts]
+    return settings.share_feigned * sum(max(bare.named - without(start, bare, i, family).named, 0.0) for i in drifts)
 
 
 def with_others_by_step(start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family) -> float:

@@ -58,32 +58,40 @@ def proposals(
         remainder: what is left beside it.
         depends_on: session columns and `tau_k`, strongest first.
     """
+    before = held_out(study).rms_m
+    out: list[Proposal] = []
+    for effect, odds in weighed(study, remainder, depends_on, check, settings):
+        if len(out) == MOST:
+            break
+        check()
+        try:
+            after = held_out(study_of(study.observation, (*study.terms, Term(effect))))
+        except SolveError:
+            continue
+        if after.rms_m < before:
+            out.append(Proposal(effect.formula, after.rms_m, after.rms_se_m, odds))
+    return tuple(out)
+
+
+def weighed(
+    study: Study, remainder: Remainder, depends_on: Sequence[str], check: Callable[[], None], settings: Settings = SETTINGS
+) -> list[tuple[FormulaEffect, float]]:
+    """Formulas with the evidence that a name needs on top of a model, and that evidence in nats (the number of formulas tried
+    taken off), the likeliest first. Arguments as of `proposals`."""
     turned = {p.structure.axis for p in remainder.structures if p.structure.axis is not None}
     written = list(dict.fromkeys([*_ripples(study, remainder), *_formulas(study.ready, depends_on, sorted(turned))]))
     if not written:
-        return ()
-    formulas = {f"formula_{i + 1}": text for i, text in enumerate(written)}
-    found, _ = options(study, [FormulaEffect(name, text) for name, text in formulas.items()], check)
+        return []
+    effects = {e.id: e for e in (FormulaEffect(f"formula_{i + 1}", text) for i, text in enumerate(written))}
+    found, _ = options(study, list(effects.values()), check)
     ground = Ground(study.bench, study.base)
     trials: list[Trial] = []
     for option in found:
         check()
         trials.append(try_option(ground, option, study.ready))
     trials.sort(key=lambda t: -t.log_evidence)
-    before = held_out(study).rms_m
-    out: list[Proposal] = []
-    for trial in trials:
-        odds = trial.log_evidence - log(len(written))
-        if len(out) == MOST or odds < settings.nats_to_name:
-            break
-        check()
-        try:
-            after = held_out(study_of(study.observation, (*study.terms, Term(trial.effect))))
-        except SolveError:
-            continue
-        if after.rms_m < before:
-            out.append(Proposal(formulas[trial.effect.id], after.rms_m, after.rms_se_m, odds))
-    return tuple(out)
+    odds = [(effects[t.effect.id], t.log_evidence - log(len(written))) for t in trials]
+    return [(effect, nats) for effect, nats in odds if nats >= settings.nats_to_name]
 
 
 def _ripples(study: Study, remainder: Remainder) -> Iterator[str]:
@@ -108,14 +116,17 @@ def _formulas(scene: Scene, depends_on: Sequence[str], turned: Sequence[int]) ->
         elif kind == "joint":
             yield from _of_angle(scene, int(name), axes, tau)
         elif kind == "force":
-            yield from _of_force(name)
+            yield from _of_force(scene, name)
         elif variable == "load_case":
             for component in XYZ:
-                yield from _of_force(component)
+                yield from _of_force(scene, component)
         elif variable == "stamp":
             yield from (f"base {d}: a * t + b * t**2" for d in XYZ)
         elif kind in ("temp", "ext"):
             yield from (f"base {d}: a * {variable} + b * {variable}**2" for d in XYZ)
+            # about the middle, where the axis has its own spring, which would have no room for less than nothing at 0
+            values = scene.temperature[name] if kind == "temp" else scene.ext[name]
+            yield from (f"axis {k + 1}: {tau} * a * ({variable} - {np.mean(values):.3g})" for k in axes)
             yield from (f"axis {k + 1}: {tau} * (a * {variable} + b * {variable}**2)" for k in axes)
 
 
@@ -142,8 +153,11 @@ def _of_angle(scene: Scene, joint: int, axes: Sequence[int], tau: str) -> Iterat
             yield from (f"axis {k + 1}: {wave}" for k in dict.fromkeys([joint - 1, *axes]))
 
 
-def _of_force(component: str) -> Iterator[str]:
+def _of_force(scene: Scene, component: str) -> Iterator[str]:
     f = f"f_{component}"
+    typical = float(np.sqrt(np.mean(scene.force_in_tool[:, XYZ.index(component)] ** 2)))
     for d in XYZ:
+        yield f"tool {d}: a * abs({f})"
         yield f"tool {d}: a * {f}**2"
         yield f"tool {d}: a * {f} * abs({f}) + b * {f}**3"
+        yield from (f"tool {d}: a * tanh({f} / {max(share * typical, 1e-2):.3g})" for share in (0.3, 1.0))

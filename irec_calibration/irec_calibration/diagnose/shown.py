@@ -15,6 +15,7 @@ from ..model import Term
 from ..session.data import Session
 from .assessment import Assessment
 from .held_out import Validated, held_out, validated
+from .laws import laws
 from .settings import SETTINGS
 from .stand_in import StandIn, stand_ins
 from .study import form_evidence, study_of
@@ -30,7 +31,7 @@ class Shown:
         form_evidence: log evidence for them, beside the effects that were added where these hide it.
         after: with every effect that was added, too; the best of the others where none was.
         without_form: `after` without the form, where that is better only beside the added effects; else None.
-        stand_ins: effects that predict other poses but can't be named, each with `after` and those before it.
+        stand_ins: effects and short laws that predict other poses but can't be named, each with `after` and those before it.
     """
 
     asked: Validated
@@ -62,7 +63,8 @@ def shown_of(session: Session, asked: Validated, assessment: Assessment, check: 
     shown = _named(session, asked, assessment, check)
     if assessment.status == "adequate":
         return shown
-    return replace(shown, stand_ins=stand_ins(session, assessment.built, shown.after, check))
+    effects = stand_ins(session, assessment.built, shown.after, check)
+    return replace(shown, stand_ins=(*effects, *laws(session, assessment, effects[-1].model if effects else shown.after, check)))
 
 
 def _named(session: Session, asked: Validated, assessment: Assessment, check: Callable[[], None]) -> Shown:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..effects import find_effect
+from ..effects.formula import in_words
 from ..identification.noise import InferredNoise
 from ..lengths import length
 from ..typing import Json
@@ -180,7 +181,7 @@ def _stands_in(shown: Shown) -> list[str]:
     if not shown.stand_ins:
         return []
     before, after = shown.after.held_out.rms_m, shown.best.held_out.rms_m
-    which = " and ".join(_label(s.effect_id) for s in shown.stand_ins)
+    which = " and ".join(in_words(s.effect) for s in shown.stand_ins)
     return [
         f"The improved model has {which} to predict what has no name, which is no diagnosis: the error on"
         f" held-out poses is {length(after)} for {length(before)}."

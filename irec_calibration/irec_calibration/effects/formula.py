@@ -195,6 +195,11 @@ class FormulaEffect(Effect):
             return walk(self._tree)
 
 
+def in_words(effect: Effect) -> str:
+    """How a sentence names an effect: by its label, a formula as the law that it is."""
+    return f"the law '{effect.label}'" if isinstance(effect, FormulaEffect) else effect.label
+
+
 def _deeper_than(limit: int, tree: ast.AST) -> bool:
     """Whether an expression has more levels; without recursion, since it is asked before any."""
     level = [tree]

@@ -14,6 +14,7 @@ from ..diagnose.comparison import compare
 from ..diagnose.improve import Ladder, Rung
 from ..diagnose.result import Comparison
 from ..effects import find_effect
+from ..effects.formula import in_words
 from ..errors import IrecError
 from ..identification.validation import ESTIMATOR
 from ..lengths import length
@@ -86,7 +87,8 @@ def _verdict(ladder: Ladder) -> str:
 
 
 def _labels(rungs: Sequence[Rung]) -> str:
-    return " and ".join(find_effect(i).label for r in rungs for i in r.added.split("+"))
+    effects = [{t.effect.id: t.effect for t in r.model.terms} for r in rungs]
+    return " and ".join(in_words(of[i]) for r, of in zip(rungs, effects, strict=True) for i in r.added.split("+"))
 
 
 def _picture(ladder: Ladder, folder: Path) -> Figure:

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from irec_calibration.diagnose import naming
 from irec_calibration.diagnose.forms import NO_FORMS, Forms
 from irec_calibration.diagnose.settings import SETTINGS
+from irec_calibration.effects import find_effect
 
 
 def asked(monkeypatch: pytest.MonkeyPatch, odds: float, rows: int, beyond: str = "b_2 = 1 rad", one_pose: bool = False) -> bool:
@@ -157,3 +158,15 @@ def test_a_bearing_gives_way_instead_of_a_gear_where_it_explains_more_and_instea
 
     odds = odds_beside(monkeypatch, one, bare, Forms(axes=frozenset(axes)), remainder_of, "joint_stiffening")
     assert (odds > naming.needed(one, "joint_stiffening", SETTINGS)) == named
+
+
+@pytest.mark.parametrize(("effect_id", "lent"), [("station_shift", 0.05 * 180.0), ("joint_backlash", 0.0), ("thermal_drift", 0.0)])
+def test_a_step_in_time_has_some_of_its_evidence_from_the_form_of_a_drift_beside_it(
+    monkeypatch: pytest.MonkeyPatch, effect_id: str, lent: float
+) -> None:
+    monkeypatch.setattr(naming, "forms_of", lambda term, _: Forms(drifts=term.effect.id == "thermal_drift"))
+    monkeypatch.setattr(naming, "without", lambda *_: SimpleNamespace(named=20.0))
+    terms = {i: SimpleNamespace(effect=find_effect(i)) for i in ("thermal_drift", "station_shift", "joint_backlash")}
+    one: Any = SimpleNamespace(study=SimpleNamespace(ready=None), term=terms.__getitem__)
+    bare: Any = SimpleNamespace(named=200.0, added=(terms["thermal_drift"],))
+    assert naming.lent_by_drifts(bare, one, bare, effect_id, cast(Any, None), SETTINGS) == pytest.approx(lent)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +68,8 @@ def test_the_proposed_formula_can_be_added_as_it_stands(
 
 def test_every_formula_that_may_be_proposed_can_be_read_by_the_command_that_adds_it() -> None:
     scene = scene_of(synthetic.session(poses=4, seed=8))
+    warm, along = np.linspace(20.0, 30.0, len(scene)), np.linspace(-1.0, 3.0, len(scene))
+    scene = replace(scene, temperature={"gear_2": warm}, ext={"rail": along})
     variables = ("tau_2", "joint_3", "force_x", "load_case", "stamp", "temp_gear_2", "ext_rail")
     written = list(_formulas(scene, variables, [2]))
     assert len(written) > 50

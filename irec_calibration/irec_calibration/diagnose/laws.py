@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Short laws that stand in for what has structure and no name, so that an improved model predicts it.
+
+They are the formulas that a diagnosis proposes, as far as they may be used without anybody looking at them: laws in proportion to
+the load that lower the error on held-out poses. Others are left to people: a calibration presses with few forces, held-out poses
+with the same, and what happens between and beyond them no such test tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ..effects import is_predicted
+from ..effects.formula import FormulaEffect
+from ..effects.scene import Scene
+from ..errors import SolveError
+from ..model import Term
+from ..session.data import Session
+from .assessment import Assessment
+from .held_out import Validated, validated
+from .level import family_in_view
+from .proposals import weighed
+from .remainder import grow
+from .settings import SETTINGS, Settings
+from .stand_in import StandIn, helps
+
+MOST = 3  # laws in a model
+TRIED = 3  # of the likeliest, each time
+NO_LAW = {"wandering"}  # evidence of what goes by itself
+
+
+def laws(
+    session: Session, assessment: Assessment, before: Validated, check: Callable[[], None], settings: Settings = SETTINGS
+) -> tuple[StandIn, ...]:
+    """Laws that stand in for what has no name, one on top of the other, each with the model that has it.
+
+    Args:
+        before: the model without them, as people are shown it; check: raises where the work was cancelled.
+
+    Raises:
+        SolveError: the session can't be used with this model.
+    """
+    out: list[StandIn] = []
+    if not set(assessment.evidence) - NO_LAW:
+        return ()
+    variables: Sequence[str] = assessment.depends_on
+    while len(out) < MOST:
+        found = _best(session, before, variables, check, settings)
+        if found is None:
+            break
+        out.append(found)
+        before, variables = found.model, ()
+    return tuple(out)
+
+
+def _best(
+    session: Session, before: Validated, variables: Sequence[str], check: Callable[[], None], settings: Settings
+) -> StandIn | None:
+    """The likeliest law on top of a model that helps on held-out poses."""
+    study = before.study.to_weigh
+    remainder = grow(study.bench, family_in_view(study), study.base)
+    if not remainder.structures:
+        return None
+    variables = list(dict.fromkeys([*variables, *(v for p in remainder.structures for v in p.structure.variables)]))
+    could = [(e, nats) for e, nats in weighed(study, remainder, variables, check, settings) if _may(e, study.ready)]
+    present = {t.effect.id for t in before.study.terms}
+    for law, nats in could[:TRIED]:
+        check()
+        effect = FormulaEffect(_id(law.formula, present), law.formula)
+        try:
+            made = validated(session, (*before.study.terms, Term(effect)))
+        except SolveError:
+            continue
+        if helps(before, made, settings.held_out_sigmas):
+            return StandIn(effect, nats, made)
+    return None
+
+
+def _may(law: FormulaEffect, scene: Scene) -> bool:
+    """Whether predictions have it, in proportion to the process force in a loaded session (an absolute one has none), and
+    without powers of anything else, which soon are far off where it is a little warmer."""
+    if not is_predicted(law.cause, scene.kind) or "**" in law.formula:
+        return False
+    if scene.kind == "absolute":
+        return True
+    ones = np.ones(len(law.parameters(scene)))
+    by_half = law.displacement(scene.with_wrench(0.5 * scene.force_in_tool, 0.5 * scene.torque_in_tool), ones)
+    return np.allclose(by_half, 0.5 * law.displacement(scene, ones), rtol=1e-6, atol=1e-15)
+
+
+def _id(formula: str, present: set[str]) -> str:
+    """An id that a model does not have yet."""
+    stem = "law_of_" + formula.partition(":")[0].replace(" ", "_")
+    return next(i for i in (stem, *(f"{stem}_{n}" for n in range(2, 100))) if i not in present)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Short laws predict what has structure and no name, as far as they may be used without anybody looking at them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import Ladder, improve
+from irec_calibration.diagnose.laws import _may
+from irec_calibration.diagnose.proposals import _formulas
+from irec_calibration.effects.formula import FormulaEffect
+from irec_calibration.effects.of_session import scene_of
+from irec_calibration.effects.scene import Scene
+from irec_calibration.model.file import load_model, save_model
+from irec_calibration.report.ladder import write_ladder_report
+from test_proposals import compliance_waves_over_the_turn_of_axis_3
+
+
+@pytest.fixture(scope="module")
+def ladder() -> Ladder:
+    return improve(synthetic.session(poses=24, seed=8, extra=compliance_waves_over_the_turn_of_axis_3))
+
+
+@pytest.fixture(scope="module")
+def warm() -> Scene:
+    scene = scene_of(synthetic.session(poses=4, seed=8))
+    return replace(scene, temperature={"gear_2": np.linspace(20.0, 30.0, len(scene))})
+
+
+def test_a_law_predicts_what_no_effect_has(ladder):
+    last, before = ladder.rungs[-1], ladder.rungs[-2]
+    assert last.formula.startswith("axis 3: tau * (")
+    assert last.cv_rms_m < 0.7 * before.cv_rms_m
+
+
+def test_a_law_is_no_diagnosis(ladder):
+    assert (ladder.before.verdict.status, ladder.before.verdict.effects) == ("unexplained", ())
+    assert ladder.rungs[-1].stands_in
+    said = f"the law '{ladder.rungs[-1].formula}' to predict what has no name, which is no diagnosis"
+    assert said in ladder.before.verdict.text
+
+
+def test_the_ladder_has_the_formula_of_a_law_and_of_nothing_else(ladder):
+    steps = json.loads(json.dumps(ladder.to_json()))["steps"]
+    assert [s.get("formula", "") for s in steps] == [r.formula for r in ladder.rungs]
+    assert steps[-1]["formula"] and not steps[0].get("formula")
+
+
+def test_the_report_shows_the_formula(ladder, tmp_path):
+    session = synthetic.session(poses=24, seed=8, extra=compliance_waves_over_the_turn_of_axis_3)
+    page = write_ladder_report(ladder, session, tmp_path)[0].read_text(encoding="utf-8")
+    assert f"+ {ladder.rungs[-1].formula} (no name)" in page
+
+
+def test_a_model_file_keeps_a_law(ladder, tmp_path):
+    kept = load_model(save_model(ladder.model, tmp_path / "model.yaml"))
+    law = kept.terms[-1].effect
+    assert isinstance(law, FormulaEffect) and law.formula == ladder.rungs[-1].formula
+
+
+@pytest.mark.parametrize(
+    "formula",
+    ["axis 3: tau * (a * cos(q_3) + b * sin(q_3))", "tool x: a * abs(f_x)", "axis 2: tau * a * (temp_gear_2 - 25)"],
+)
+def test_a_law_in_proportion_to_the_force_may_stand_in(formula, warm):
+    assert _may(FormulaEffect("law", formula), warm)
+
+
+@pytest.mark.parametrize(
+    "formula",
+    ["axis 3: a * tanh(tau / 50)", "tool x: a * f_x * abs(f_x)", "axis 3: a * (tanh((tau + tau_g) / 900) - tanh(tau_g / 900))"],
+)
+def test_a_law_that_bends_with_the_force_is_left_to_people(formula, warm):
+    assert not _may(FormulaEffect("law", formula), warm)
+
+
+def test_a_law_with_powers_of_a_temperature_is_left_to_people(warm):
+    assert not _may(FormulaEffect("law", "axis 2: tau * (a * temp_gear_2 + b * temp_gear_2**2)"), warm)
+
+
+def test_a_law_that_follows_time_and_no_load_predicts_nothing(warm):
+    assert not _may(FormulaEffect("law", "base z: a * t"), warm)
+
+
+def test_a_compliance_that_goes_with_a_temperature_is_counted_from_its_middle(warm):
+    assert "axis 2: tau * a * (temp_gear_2 - 25)" in _formulas(warm, ("temp_gear_2",), [1])
