@@ -160,7 +160,7 @@ def test_a_bearing_gives_way_instead_of_a_gear_where_it_explains_more_and_instea
     assert (odds > naming.needed(one, "joint_stiffening", SETTINGS)) == named
 
 
-@pytest.mark.parametrize(("effect_id", "lent"), [("station_shift", 0.05 * 180.0), ("joint_backlash", 0.0), ("thermal_drift", 0.0)])
+@pytest.mark.parametrize(("effect_id", "lent"), [("station_shift", 9.0), ("joint_backlash", 0.0), ("thermal_drift", 0.0)])
 def test_a_step_in_time_has_some_of_its_evidence_from_the_form_of_a_drift_beside_it(
     monkeypatch: pytest.MonkeyPatch, effect_id: str, lent: float
 ) -> None:
