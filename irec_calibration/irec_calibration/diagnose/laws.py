@@ -14,6 +14,7 @@ import numpy as np
 
 from ..effects import is_predicted
 from ..effects.formula import FormulaEffect
+from ..effects.live import Refused
 from ..effects.scene import Scene
 from ..errors import SolveError
 from ..model import Term
@@ -79,9 +80,9 @@ def _best(
 
 
 def _may(law: FormulaEffect, scene: Scene) -> bool:
-    """Whether predictions have it, in proportion to the process force in a loaded session (an absolute one has none), and
-    without powers of anything else, which soon are far off where it is a little warmer."""
-    if not is_predicted(law.cause, scene.kind) or "**" in law.formula:
+    """Whether predictions and corrections may have it, in proportion to the process force in a loaded session (an absolute one
+    has none), and without powers of anything else, which soon are far off where it is a little warmer."""
+    if not is_predicted(law.cause, scene.kind) or isinstance(law.no_live_form(), Refused) or "**" in law.formula:
         return False
     if scene.kind == "absolute":
         return True

@@ -257,12 +257,18 @@ class Effect(ABC):
             return LeftOut(WHY_LEFT_OUT[self.cause])
         if type(self).live is not Effect.live:
             return None
-        missing = [n for n in NOT_IN_PRODUCTION if n in self.needs]
+        missing = not_in_production(self)
         if missing:
-            return Refused(f"needs {', '.join(missing)}, which a correction does not have as a session does")
+            return missing
         if self.acts_on == "wrench":
             return Refused("changes the wrench and gives no real-time form of it (a SensorMap)")
         return None
+
+
+def not_in_production(effect: Effect) -> Refused | None:
+    """Why an effect can't be used where nothing but a robot's own state and the process force is known; None where it can."""
+    missing = [n for n in NOT_IN_PRODUCTION if n in effect.needs]
+    return Refused(f"needs {', '.join(missing)}, which a correction does not have as a session does") if missing else None
 
 
 def follows_springs(effect: Effect, scene: Scene) -> bool:

@@ -17,7 +17,9 @@ import numpy as np
 
 from ..errors import EffectError
 from ..typing import Array
-from .base import Effect, Parameter
+from .base import NOT_IN_PRODUCTION, Effect, Parameter, not_in_production
+from .formula_live import READ, AxisLaw
+from .live import ByDisplacement, LeftOut, LiveForm, Refused
 from .scene import Scene
 from .traits import Cause
 
@@ -94,7 +96,7 @@ class FormulaEffect(Effect):
         self._names = tuple(sorted(n for n in names - called if not _is_variable(n) and n not in CONSTANTS))
         if not self._names:
             raise EffectError(f"formula '{formula}': no parameter in it; give at least one name to be identified, such as c")
-        read = {n for n in names - called if _is_variable(n)}
+        read = self._read = {n for n in names - called if _is_variable(n)}
         self.needs = tuple(need for need, pattern in NEEDS.items() if any(re.fullmatch(pattern, n) for n in read))  # type: ignore[misc]
         if not any(re.fullmatch(LOAD_VARIABLE, n) for n in read):
             self.cause = Cause.TIME if {"time", "temperature"} & set(self.needs) else Cause.STATE  # type: ignore[misc]
@@ -127,6 +129,34 @@ class FormulaEffect(Effect):
             children = []
         for child in children:
             self._check(child)
+
+    def no_live_form(self) -> LeftOut | Refused | None:
+        at = self._counted_from()
+        if at and [n for n in NOT_IN_PRODUCTION if n in self.needs] == ["temperature"] and self._vanishes(at):
+            usual = ", ".join(f"{name} = {value:g} degC" for name, value in at.items())
+            return LeftOut(f"follows a temperature, which a correction does not read; the arm is taken to be at {usual}")
+        return super().no_live_form() or not_in_production(self)
+
+    def live(self, scene: Scene, theta: Array) -> LiveForm:
+        if self._axis is None or not all(READ.fullmatch(n) for n in self._read):
+            return ByDisplacement()
+        values = dict(zip(self._names, (float(v) for v in theta), strict=True))
+        return AxisLaw(self._axis, scene.n_joints, self._read, lambda variables: self._evaluate({**variables, **values}))
+
+    def _counted_from(self) -> dict[str, float]:
+        """Temperatures that are counted from one value: those that stand in a difference `temp_NAME - NUMBER`."""
+        out: dict[str, float] = {}
+        for node in ast.walk(self._tree):
+            match node:
+                case ast.BinOp(ast.Name(name), ast.Sub(), ast.Constant(int() | float() as value)) if name.startswith("temp_"):
+                    out[name] = float(value)
+        return out
+
+    def _vanishes(self, at: dict[str, float]) -> bool:
+        """Whether it is 0 where some variables have these values, whatever the others."""
+        names = {n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)}
+        others = np.random.default_rng(0).uniform(0.5, 2.0, (len(names), 5))
+        return bool(np.all(self._evaluate({**dict(zip(sorted(names), others, strict=True)), **at}) == 0.0))
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         variables = self._variables(scene)

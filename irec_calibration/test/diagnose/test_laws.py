@@ -82,6 +82,10 @@ def test_a_law_with_powers_of_a_temperature_is_left_to_people(warm):
     assert not _may(FormulaEffect("law", "axis 2: tau * (a * temp_gear_2 + b * temp_gear_2**2)"), warm)
 
 
+def test_a_law_that_no_correction_could_use_is_left_to_people(warm):
+    assert not _may(FormulaEffect("law", "axis 2: tau * a * temp_gear_2"), warm)
+
+
 def test_a_law_that_follows_time_and_no_load_predicts_nothing(warm):
     assert not _may(FormulaEffect("law", "base z: a * t"), warm)
 

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.formula import FormulaEffect
+from irec_calibration.effects.live import LeftOut, Refused
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.user import effect_from_text, register_file
 from irec_calibration.errors import EffectError, ModelError
@@ -160,3 +161,22 @@ def test_an_effect_from_a_file_gets_parts_priors_and_a_place_in_the_diagnosis(tm
     (effect,) = register_file(tmp_path / "mine.py")
     trial = try_effect(prepare(hardened(), blank_model(EIGHTEEN_DOF)), effect)
     assert "axis 3" in trial.best.groups and trial.log_evidence > 6.5
+
+
+@pytest.mark.parametrize("formula", ["axis 3: tau * a * (temp_gear_3 - 30.2)", "tool z: f_z * (temp_x - 20) * (a + b * q_1)"])
+def test_a_correction_leaves_out_what_is_counted_from_the_temperature_of_the_calibration(formula):
+    form = FormulaEffect("law", formula).no_live_form()
+    assert isinstance(form, LeftOut) and "which a correction does not read" in form.why
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "axis 3: tau * a * temp_gear_3",
+        "axis 3: tau * a * (temp_gear_3 - 30.2) + tau * b",
+        "axis 3: tau * (a * (temp_gear_3 - 30.2) + temp_oil)",
+        "axis 3: tau * a * (temp_gear_3 - 30.2) * dwell",
+    ],
+)
+def test_a_correction_refuses_what_would_be_missing_without_the_temperature(formula):
+    assert isinstance(FormulaEffect("law", formula).no_live_form(), Refused)
