@@ -26,6 +26,7 @@ from .study import Study, study_of
 
 MOST = 3
 HARMONICS = (1, 2, 3)
+OWN_HARMONICS = range(1, 13)  # of a gear's compliance with its own angle: some teeth carry worse than others
 XYZ = "xyz"
 
 
@@ -126,7 +127,10 @@ def _formulas(scene: Scene, depends_on: Sequence[str], turned: Sequence[int]) ->
             yield from (f"base {d}: a * {variable} + b * {variable}**2" for d in XYZ)
             # about the middle, where the axis has its own spring, which would have no room for less than nothing at 0
             values = scene.temperature[name] if kind == "temp" else scene.ext[name]
-            yield from (f"axis {k + 1}: {tau} * a * ({variable} - {np.mean(values):.3g})" for k in axes)
+            middle = f"({variable} - {np.mean(values):.3g})"
+            yield from (f"axis {k + 1}: {tau} * a * {middle}" for k in axes)
+            if scene.kind == "loaded":
+                yield from (f"tool {d}: f_{d} * a * {middle}" for d in XYZ)
             yield from (f"axis {k + 1}: {tau} * (a * {variable} + b * {variable}**2)" for k in axes)
 
 
@@ -142,11 +146,14 @@ def _of_torque(scene: Scene, axis: int, tau: str) -> Iterator[str]:
 
 
 def _of_angle(scene: Scene, joint: int, axes: Sequence[int], tau: str) -> Iterator[str]:
-    for m in HARMONICS:
+    for m in OWN_HARMONICS:
         angle = f"q_{joint}" if m == 1 else f"{m} * q_{joint}"
         wave = f"a * cos({angle}) + b * sin({angle})"
         for k in axes:
-            yield f"axis {k + 1}: {tau} * ({wave})"
+            if m in HARMONICS or k == joint - 1:
+                yield f"axis {k + 1}: {tau} * ({wave})"
+        if m not in HARMONICS:
+            continue
         if scene.kind == "loaded":
             yield from (f"tool {d}: f_{d} * ({wave})" for d in XYZ)
         else:

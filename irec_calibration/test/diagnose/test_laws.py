@@ -91,4 +91,12 @@ def test_a_law_that_follows_time_and_no_load_predicts_nothing(warm):
 
 
 def test_a_compliance_that_goes_with_a_temperature_is_counted_from_its_middle(warm):
-    assert "axis 2: tau * a * (temp_gear_2 - 25)" in _formulas(warm, ("temp_gear_2",), [1])
+    written = list(_formulas(warm, ("temp_gear_2",), [1]))
+    assert {"axis 2: tau * a * (temp_gear_2 - 25)", "tool z: f_z * a * (temp_gear_2 - 25)"} <= set(written)
+
+
+def test_only_a_gear_that_turns_itself_has_a_compliance_that_repeats_more_than_three_times_per_turn(warm):
+    written = set(_formulas(warm, ("joint_2",), [1, 2]))
+    assert "axis 2: tau * (a * cos(9 * q_2) + b * sin(9 * q_2))" in written
+    assert "axis 3: tau * (a * cos(9 * q_2) + b * sin(9 * q_2))" not in written
+    assert "axis 3: tau * (a * cos(3 * q_2) + b * sin(3 * q_2))" in written
