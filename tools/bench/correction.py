@@ -15,11 +15,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 from irec_calibration.effects import find_effect
+from irec_calibration.effects.formula import FormulaEffect
+from irec_calibration.effects.live import ByDisplacement, LiveForm
+from irec_calibration.effects.scene import Scene
 from irec_calibration.model import Envelope, Estimate, Model, Term
 from irec_calibration.model.file import save_model
 from irec_calibration.robot import Robot
@@ -36,6 +40,7 @@ Q = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3])
 WRENCH = np.array([150.0, -80.0, -900.0, 5.0, 3.0, -1.0])
 PERIOD = 0.004
 CYCLES_TO_JUDGE_LATE = 100_000  # with fewer the count is chance
+LAW = "axis 3: tau * (a * cos(3 * q_3) + b * sin(3 * q_3))"
 WARM_UP = 200  # cycles before the count begins; the first packets of a session are not answered
 SWAP = 500  # cycles after which the other one is asked first
 APART = 0.4  # of a period between the two
@@ -108,7 +113,33 @@ def bench_deflection(n: int) -> dict:
         ours += timed(lambda: fast(Q, f, m, PERIOD), n // 10)
         theirs += timed(lambda: plain(Q, f, m), n // 10)
     a, b = spread(ours), spread(theirs)
-    return {"compiled_us": a, "plain_us": b, "faster": round(b["p50"] / a["p50"], 2)}
+    return {"compiled_us": a, "plain_us": b, "faster": round(b["p50"] / a["p50"], 2), "law": bench_law(robot, n // 10)}
+
+
+class ByOwnDisplacement(FormulaEffect):
+    """A formula without a form of its own for the live correction."""
+
+    def live(self, scene: Scene, theta: np.ndarray) -> LiveForm:
+        return ByDisplacement()
+
+
+def bench_law(robot: Robot, n: int) -> dict:
+    """A model with a formula that turns an axis, in its live form against the formula's own displacement, interleaved."""
+    values = {"a": Estimate(1e-8), "b": Estimate(2e-8)}
+    both = [
+        Deflection(replace(model_18(), terms=(*model_18().terms, Term(kind("law_of_axis_3", LAW), values))), robot)
+        for kind in (FormulaEffect, ByOwnDisplacement)
+    ]
+    f, m = WRENCH[:3], WRENCH[3:]
+    fast, slow = (each(Q, f, m, PERIOD)[0] for each in both)
+    if np.abs(fast - slow).max() > 1e-12:
+        raise SystemExit(f"both forms of a formula differ by {np.abs(fast - slow).max()} m: nothing to compare")
+    ours, theirs = [], []
+    for _ in range(10):
+        ours += timed(lambda: both[0](Q, f, m, PERIOD), n // 10)
+        theirs += timed(lambda: both[1](Q, f, m, PERIOD), n // 10)
+    a, b = spread(ours), spread(theirs)
+    return {"live_us": a, "displacement_us": b, "faster": round(b["p50"] / a["p50"], 2)}
 
 
 def bench_chain(n: int, period: float) -> dict:
