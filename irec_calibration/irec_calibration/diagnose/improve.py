@@ -161,7 +161,7 @@ def improve(
         term = next(c.term for c in before.candidates if c.effect == READ_AT_REFERENCES.id)
         rungs.append(with_term(rungs[-1], term, readings.log_evidence))
     say(1.0, "done")
-    return Ladder(session.name, before.comparison.noise_floor_m, tuple(rungs), before, _stopped(assessment))
+    return Ladder(session.name, before.comparison.noise_floor_m, tuple(rungs), before, _stopped(assessment, bool(shown.stand_ins)))
 
 
 def with_term(last: Rung, term: Term, evidence: float) -> Rung:
@@ -172,11 +172,13 @@ def with_term(last: Rung, term: Term, evidence: float) -> Rung:
     )
 
 
-def _stopped(assessment: Assessment) -> str:
+def _stopped(assessment: Assessment, has_stand_ins: bool) -> str:
     """Why no further effect is added."""
     if assessment.evidence:
         why = f": {assessment.reason}" if assessment.reason else ""
-        return f"what is left, {length(assessment.remaining_m)}, has structure, but no effect of the catalogue explains it{why}"
+        beside = " beside what has a name" if has_stand_ins else ""
+        left = f"what is left{beside}, {length(assessment.remaining_m)}, has structure"
+        return f"{left}, but no effect of the catalogue explains it{why}"
     return "no further effect is justified"
 
 
