@@ -161,7 +161,8 @@ def improve(
         term = next(c.term for c in before.candidates if c.effect == READ_AT_REFERENCES.id)
         rungs.append(with_term(rungs[-1], term, readings.log_evidence))
     say(1.0, "done")
-    return Ladder(session.name, before.comparison.noise_floor_m, tuple(rungs), before, _stopped(assessment, bool(shown.stand_ins)))
+    stopped = _stopped(assessment, bool(shown.stand_ins))
+    return Ladder(session.name, before.comparison.noise_floor_m, tuple(rungs), before, stopped)
 
 
 def with_term(last: Rung, term: Term, evidence: float) -> Rung:
