@@ -20,6 +20,7 @@ PLACES = 9  # along the travel of the session, at which the softest place is loo
 WIDTHS = (0.1, 0.17, 0.235, 0.28, 0.33, 0.39, 0.46, 0.55, 0.66)  # of the travel; as close as what repeats over it asks for
 SHAPE = 3  # parameters, the last: s_0, w, posts
 SHORTEST = 0.1  # m, of a travel
+CLOSEST_POSTS = 0.4  # m; a rail on posts that stand closer is carried alike everywhere
 FURTHEST = 100.0  # m from 0, of a place on a rail whose travel is not known
 
 
@@ -29,7 +30,8 @@ class RailCompliance(Effect):
     physics = (
         "The carriage and its rail give way like a base spring, differently along the travel: each of six compliances is a "
         "constant part and one that is largest at the place s_0, neither negative. That one fades over the distance w, "
-        "c + soft exp(-((s - s_0)/w)^2), or is there between all posts, which stand w apart: c + soft cos^2(pi (s - s_0)/w). "
+        "c + soft exp(-((s - s_0)/w)^2), or is there between all posts, which stand w apart (0.4 m at least): "
+        "c + soft cos^2(pi (s - s_0)/w). "
         "Missing, the residual depends on the rail position."
     )
     family = Family.SPRING
@@ -102,7 +104,10 @@ def _position(scene: Scene) -> Array:
 
 
 def softness(position: Array, place: float, width: float, posts: float) -> Array:
-    """Share of the soft part at positions along the rail, (n,), m -> (n,): 1 at the softest place."""
+    """Share of the soft part at positions along the rail, (n,), m -> (n,): 1 at the softest place, 0 where posts stand too close
+    for a rail to be softer between them."""
+    if posts >= 0.5 and width < CLOSEST_POSTS:
+        return np.zeros_like(position)
     away = (position - place) / width
     return np.asarray(np.cos(np.pi * away) ** 2 if posts >= 0.5 else np.exp(-(away**2)))
 
@@ -114,6 +119,8 @@ class _Carriage(ColumnLaw):
     def __init__(self, compliances: Array, place: float, width: float, posts: float) -> None:
         self._constant, self._soft = compliances.T
         self._place, self._width, self._posts = float(place), float(width), posts >= 0.5
+        if self._posts and self._width < CLOSEST_POSTS:
+            self._soft = np.zeros_like(self._soft)
 
     def displacement(self, tick: Tick, tau: Array) -> Array:
         away = (tick.rail_position - self._place) / self._width

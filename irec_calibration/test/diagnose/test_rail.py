@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import improve
+from irec_calibration.effects.rail_compliance import softness
 from irec_calibration.effects.scene import Scene
 from numpy.typing import NDArray
 
@@ -36,3 +37,12 @@ def test_a_rail_on_posts_is_named_with_the_distance_of_its_posts(seed: int) -> N
     assert found["w"] == pytest.approx(APART, rel=0.05)
     assert found["r_y"] == pytest.approx(0.3 * 4e-8, rel=0.3)
     assert found["r_y_soft"] == pytest.approx(4e-8, rel=0.2)
+
+
+@pytest.mark.parametrize(("apart", "softest"), [(0.39, 0.0), (0.41, 1.0)])
+def test_a_rail_is_not_softer_between_posts_that_stand_close(apart: float, softest: float) -> None:
+    assert softness(np.array([1.0]), 1.0, apart, 1.0) == softest
+
+
+def test_a_carriage_on_a_rail_may_be_soft_at_a_narrow_place() -> None:
+    assert softness(np.array([1.0]), 1.0, 0.1, 0.0) == 1.0
