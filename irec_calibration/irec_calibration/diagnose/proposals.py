@@ -16,6 +16,7 @@ from ..effects.formula import FormulaEffect
 from ..effects.scene import Scene
 from ..errors import SolveError
 from ..model import Term
+from ..typing import Array
 from .candidates import Trial, options, try_option
 from .evidence import Ground
 from .held_out import held_out
@@ -126,12 +127,17 @@ def _formulas(scene: Scene, depends_on: Sequence[str], turned: Sequence[int]) ->
         elif kind in ("temp", "ext"):
             yield from (f"base {d}: a * {variable} + b * {variable}**2" for d in XYZ)
             # about the middle, where the axis has its own spring, which would have no room for less than nothing at 0
-            values = scene.temperature[name] if kind == "temp" else scene.ext[name]
-            middle = f"({variable} - {np.mean(values):.3g})"
+            middle = _from_middle(variable, scene.temperature[name] if kind == "temp" else scene.ext[name])
             yield from (f"axis {k + 1}: {tau} * a * {middle}" for k in axes)
             if scene.kind == "loaded":
                 yield from (f"tool {d}: f_{d} * a * {middle}" for d in XYZ)
             yield from (f"axis {k + 1}: {tau} * (a * {variable} + b * {variable}**2)" for k in axes)
+
+
+def _from_middle(variable: str, values: Array) -> str:
+    """A variable less the mean of its values."""
+    mean = float(np.nanmean(values))
+    return f"({variable} {'-' if mean >= 0.0 else '+'} {abs(mean):.3g})"
 
 
 def _of_torque(scene: Scene, axis: int, tau: str) -> Iterator[str]:

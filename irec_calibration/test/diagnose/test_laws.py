@@ -95,6 +95,11 @@ def test_a_compliance_that_goes_with_a_temperature_is_counted_from_its_middle(wa
     assert {"axis 2: tau * a * (temp_gear_2 - 25)", "tool z: f_z * a * (temp_gear_2 - 25)"} <= set(written)
 
 
+def test_a_place_on_a_rail_below_zero_is_counted_from_its_middle_too(warm):
+    left = replace(warm, ext={"rail": np.where(np.arange(len(warm)) % 2, -1.0, np.nan)})
+    assert "axis 2: tau * a * (ext_rail + 1)" in _formulas(left, ("ext_rail",), [1])
+
+
 def test_only_a_gear_that_turns_itself_has_a_compliance_that_repeats_more_than_three_times_per_turn(warm):
     written = set(_formulas(warm, ("joint_2",), [1, 2]))
     assert "axis 2: tau * (a * cos(9 * q_2) + b * sin(9 * q_2))" in written
