@@ -2,8 +2,8 @@
 """Short laws that stand in for what has structure and no name, so that an improved model predicts it.
 
 They are the formulas that a diagnosis proposes, as far as they may be used without anybody looking at them: laws in proportion to
-the load that lower the error on held-out poses. Others are left to people: a calibration presses with few forces, held-out poses
-with the same, and what happens between and beyond them no such test tells.
+the load that lower the error on held-out poses, and where whole regions of poses are held out. Others are left to people: a
+calibration presses with few forces, held-out poses with the same, and what happens between and beyond them no such test tells.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ from ..effects.formula import FormulaEffect
 from ..effects.live import Refused
 from ..effects.scene import Scene
 from ..errors import SolveError
+from ..identification.validation import predicted_from_others
 from ..model import Term
 from ..session.data import Session
+from ..typing import Array, IntArray
 from .assessment import Assessment
 from .held_out import Validated, validated
 from .level import family_in_view
@@ -26,10 +28,13 @@ from .proposals import weighed
 from .remainder import grow
 from .settings import SETTINGS, Settings
 from .stand_in import StandIn, helps
+from .study import Study, study_of
 
 MOST = 3  # laws in a model
 TRIED = 3  # of the likeliest, each time
 NO_LAW = {"wandering"}  # evidence of what goes by itself
+BISECTIONS = 4  # of the poses, at most: into 16 regions
+FEWEST_IN_REGION = 2  # poses
 
 
 def laws(
@@ -74,18 +79,62 @@ def _best(
             made = validated(session, (*before.study.terms, Term(effect)))
         except SolveError:
             continue
-        if helps(before, made, settings.held_out_sigmas):
+        if helps(before, made, settings.held_out_sigmas) and helps_elsewhere(before.study, made.study, settings.held_out_sigmas):
             return StandIn(effect, nats, made)
     return None
 
 
+def helps_elsewhere(before: Study, after: Study, sigmas: float) -> bool:
+    """Whether a model is better than the one before by some standard errors over regions, each predicted from all others.
+
+    A pose alone is much like its neighbours, and what they have in common by chance predicts it.
+    """
+    of_region = regions(before.session.q[before.observation.rows], before.observation.pose)
+    if len(of_region) < 2:
+        return False
+    parts = [np.flatnonzero(np.isin(before.bench.pose, poses)) for poses in of_region]
+    saved = np.subtract(*(_missed(s, parts) for s in (before, study_of(before.observation, after.terms))))
+    return bool(saved.mean() > sigmas * saved.std(ddof=1) / np.sqrt(len(saved)))
+
+
+def regions(q: Array, pose: IntArray) -> list[IntArray]:
+    """Poses that are near each other: halved time and again across the joint that spreads them most.
+
+    Args:
+        q: joint angles of rows, (m, k), rad; pose: of each row, (m,).
+    """
+    poses, of_row = np.unique(pose, return_inverse=True)
+    centre = np.stack([np.bincount(of_row.ravel(), column) for column in q.T], axis=1) / np.bincount(of_row.ravel())[:, None]
+    parts = [np.arange(len(poses))]
+    for _ in range(BISECTIONS):
+        if min(len(p) for p in parts) < 2 * FEWEST_IN_REGION:
+            break
+        parts = [half for part in parts for half in np.array_split(_along_widest(centre, part), 2)]
+    return [poses[p] for p in parts]
+
+
+def _along_widest(centre: Array, part: IntArray) -> IntArray:
+    """Some poses in the order of the joint that spreads them most."""
+    joint = int(np.argmax(np.ptp(centre[part], axis=0)))
+    return np.asarray(part[np.argsort(centre[part, joint], kind="stable")])
+
+
+def _missed(study: Study, parts: Sequence[IntArray]) -> Array:
+    """Squared error of equations that are predicted from those of all other parts, per part, in variances."""
+    base = study.base
+    left = predicted_from_others(
+        base.A, study.bench.b, parts, base.lower, base.upper, base.width**-2.0, study.bench.rounding
+    )  # fmt: skip
+    return np.array([(left[rows] ** 2).sum() for rows in parts])
+
+
 def _may(law: FormulaEffect, scene: Scene) -> bool:
-    """Whether predictions and corrections may have it, in proportion to the process force in a loaded session (an absolute one
-    has none), and without powers of anything else, which soon are far off where it is a little warmer."""
+    """Whether predictions and corrections may have it: in proportion to the process force in a loaded session, of an axis' own
+    torque and angle in an absolute one, without powers of anything else, which soon are far off where it is a little warmer."""
     if not is_predicted(law.cause, scene.kind) or isinstance(law.no_live_form(), Refused) or "**" in law.formula:
         return False
     if scene.kind == "absolute":
-        return True
+        return law.turns_by_itself
     ones = np.ones(len(law.parameters(scene)))
     by_half = law.displacement(scene.with_wrench(0.5 * scene.force_in_tool, 0.5 * scene.torque_in_tool), ones)
     return np.allclose(by_half, 0.5 * law.displacement(scene, ones), rtol=1e-6, atol=1e-15)

@@ -137,6 +137,12 @@ class FormulaEffect(Effect):
             return LeftOut(f"follows a temperature, which a correction does not read; the arm is taken to be at {usual}")
         return super().no_live_form() or not_in_production(self)
 
+    @property
+    def turns_by_itself(self) -> bool:
+        """Whether it turns an axis by nothing but that axis' own torques and angle."""
+        own = re.compile(rf"(tau|tau_g|q)(_{(self._axis or 0) + 1})?")
+        return self._axis is not None and all(own.fullmatch(n) for n in self._read)
+
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         if self._axis is None or not all(READ.fullmatch(n) for n in self._read):
             return ByDisplacement()

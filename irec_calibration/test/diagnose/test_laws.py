@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import Ladder, improve
-from irec_calibration.diagnose.laws import _may
+from irec_calibration.diagnose import laws as module
+from irec_calibration.diagnose.laws import _may, helps_elsewhere, regions
 from irec_calibration.diagnose.proposals import _formulas
 from irec_calibration.effects.formula import FormulaEffect
 from irec_calibration.effects.of_session import scene_of
@@ -86,6 +88,18 @@ def test_a_law_that_no_correction_could_use_is_left_to_people(warm):
     assert not _may(FormulaEffect("law", "axis 2: tau * a * temp_gear_2"), warm)
 
 
+@pytest.mark.parametrize(
+    ("formula", "may"),
+    [
+        ("axis 5: a * cos(2 * q_5) + b * sin(2 * q_5)", True),
+        ("axis 5: tau_g * (a * cos(q_5) + b * sin(q_5))", True),
+        ("axis 5: a * cos(q_1) + b * sin(q_1)", False),
+    ],
+)
+def test_where_nothing_presses_an_axis_turns_by_its_own_angle_and_torque_only(formula, may, warm):
+    assert _may(FormulaEffect("law", formula), replace(warm, rows=replace(warm.rows, kind="absolute"))) == may
+
+
 def test_a_law_that_follows_time_and_no_load_predicts_nothing(warm):
     assert not _may(FormulaEffect("law", "base z: a * t"), warm)
 
@@ -105,3 +119,42 @@ def test_only_a_gear_that_turns_itself_has_a_compliance_that_repeats_more_than_t
     assert "axis 2: tau * (a * cos(9 * q_2) + b * sin(9 * q_2))" in written
     assert "axis 3: tau * (a * cos(9 * q_2) + b * sin(9 * q_2))" not in written
     assert "axis 3: tau * (a * cos(3 * q_2) + b * sin(3 * q_2))" in written
+
+
+def test_poses_of_a_region_are_near_each_other():
+    rng = np.random.default_rng(1)
+    far = np.repeat(np.arange(8), 4)  # eight places, four poses in each, two rows a pose
+    q = np.repeat(np.stack([far % 2, far // 2 % 2, far // 4], axis=1) + 0.01 * rng.normal(size=(32, 3)), 2, axis=0)
+    found = regions(q, np.repeat(np.arange(100, 132), 2))
+    assert len(found) == 16
+    assert all(len(np.unique(far[part - 100])) == 1 for part in found)
+
+
+def test_every_pose_is_in_one_region_and_none_is_alone():
+    found = regions(np.random.default_rng(2).normal(size=(23, 6)), np.arange(23))
+    assert sorted(np.concatenate(found)) == list(range(23))
+    assert min(map(len, found)) >= 2
+
+
+def linear(A: np.ndarray, b: np.ndarray, q: np.ndarray) -> SimpleNamespace:
+    """A study of one equation per pose."""
+    p, free = A.shape[1], np.full(A.shape[1], np.inf)
+    base = SimpleNamespace(A=A, lower=-free, upper=free, width=np.full(p, 10.0))
+    pose = np.arange(len(b))
+    return SimpleNamespace(
+        bench=SimpleNamespace(b=b, pose=pose, rounding=1e-9), base=base, terms=(),
+        observation=SimpleNamespace(rows=pose, pose=pose), session=SimpleNamespace(q=q),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("everywhere", "helps"), [(True, True), (False, False)])
+def test_what_only_neighbours_have_in_common_is_no_law(monkeypatch, everywhere, helps):
+    rng = np.random.default_rng(3)
+    place = np.repeat(np.arange(16), 4)
+    q = np.stack([place % 4, place // 4], axis=1) + 0.01 * rng.normal(size=(64, 2))
+    column = rng.choice([-1.0, 1.0], 64)
+    b = 3.0 * column * (everywhere or place == 5) + 0.1 * rng.normal(size=64)
+    column = column if everywhere else np.where(place == 5, column, 0.1 * column)  # next to nothing elsewhere
+    before, after = linear(np.ones((64, 1)), b, q), linear(np.stack([np.ones(64), column], axis=1), b, q)
+    monkeypatch.setattr(module, "study_of", lambda *_: after)
+    assert helps_elsewhere(before, after, 1.5) == helps

@@ -129,7 +129,7 @@ def test_a_recording_that_fails_ends_the_run_retracted_and_the_next_one_works(
     ros_domain: int, start_process: Start, tmp_path: Path
 ) -> None:
     """The file may not grow beyond 400 kB, as on a full disk: it ends early in the run, which need not be fast."""
-    start_process(node("irec_sim.nodes.cell_node", cell=CELL, speed_factor=2.0), name="cell")
+    start_process(node("irec_sim.nodes.cell_node", cell=CELL, speed_factor=1.0), name="cell")
     arguments = node("irec_calibration.nodes.procedure_node", cell=CELL, session_folder=tmp_path, use_sim_time="true")
     limited = ["bash", "-c", 'trap "" XFSZ; ulimit -f 400; exec "$@"', "limited", *arguments]
     process = start_process(limited, name="procedure")
