@@ -2,13 +2,14 @@
 """Short laws that stand in for what has structure and no name, so that an improved model predicts it.
 
 They are the formulas that a diagnosis proposes, as far as they may be used without anybody looking at them: laws in proportion to
-the load that lower the error on held-out poses, and where whole regions of poses are held out. Others are left to people: a
+the load that lower the error on held-out poses, also where whole regions of poses are held out. Others are left to people: a
 calibration presses with few forces, held-out poses with the same, and what happens between and beyond them no such test tells.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,12 +23,14 @@ from ..model import Term
 from ..session.data import Session
 from ..typing import Array, IntArray
 from .assessment import Assessment
+from .candidates import block_columns
+from .evidence import Bench, Block
 from .held_out import Validated, validated
 from .level import family_in_view
 from .proposals import weighed
 from .remainder import grow
 from .settings import SETTINGS, Settings
-from .stand_in import StandIn, helps
+from .stand_in import StandIn
 from .study import Study, study_of
 
 MOST = 3  # laws in a model
@@ -64,36 +67,46 @@ def laws(
 def _best(
     session: Session, before: Validated, variables: Sequence[str], check: Callable[[], None], settings: Settings
 ) -> StandIn | None:
-    """The likeliest law on top of a model that helps on held-out poses."""
+    """The likeliest law on top of a model that helps on held-out poses and regions of them."""
     study = before.study.to_weigh
     remainder = grow(study.bench, family_in_view(study), study.base)
     if not remainder.structures:
         return None
     variables = list(dict.fromkeys([*variables, *(v for p in remainder.structures for v in p.structure.variables)]))
-    could = [(e, nats) for e, nats in weighed(study, remainder, variables, check, settings) if _may(e, study.ready)]
+    could = [one for one in weighed(study, remainder, variables, check, settings) if _may(one[0], study.ready)]
     present = {t.effect.id for t in before.study.terms}
-    for law, nats in could[:TRIED]:
+    for law, block, nats in could[:TRIED]:
         check()
+        plain = before.study  # where what stands out counts for nothing
+        columns = replace(block, A=block_columns(plain, law, {})[0].A)
+        if not helps_elsewhere(plain, plain.bench, plain.base + columns, settings.held_out_sigmas):
+            continue
         effect = FormulaEffect(_id(law.formula, present), law.formula)
         try:
             made = validated(session, (*before.study.terms, Term(effect)))
         except SolveError:
             continue
-        if helps(before, made, settings.held_out_sigmas) and helps_elsewhere(before.study, made.study, settings.held_out_sigmas):
+        if made.study.fit.rms >= plain.fit.rms or made.held_out.rms_m >= before.held_out.rms_m:
+            continue
+        again = study_of(plain.observation, made.study.terms)  # with it the springs are as soft as they are beside it
+        if helps_elsewhere(plain, again.bench, again.base, settings.held_out_sigmas):
             return StandIn(effect, nats, made)
     return None
 
 
-def helps_elsewhere(before: Study, after: Study, sigmas: float) -> bool:
-    """Whether a model is better than the one before by some standard errors over regions, each predicted from all others.
+def helps_elsewhere(study: Study, bench: Bench, block: Block, sigmas: float) -> bool:
+    """Whether a model is better with a law by some standard errors over regions, each predicted from all others.
 
     A pose alone is much like its neighbours, and what they have in common by chance predicts it.
+
+    Args:
+        study: without it; bench, block: with it, on the same rows.
     """
-    of_region = regions(before.session.q[before.observation.rows], before.observation.pose)
+    of_region = regions(study.session.q[study.observation.rows], study.observation.pose)
     if len(of_region) < 2:
         return False
-    parts = [np.flatnonzero(np.isin(before.bench.pose, poses)) for poses in of_region]
-    saved = np.subtract(*(_missed(s, parts) for s in (before, study_of(before.observation, after.terms))))
+    parts = [np.flatnonzero(np.isin(study.bench.pose, poses)) for poses in of_region]
+    saved = _missed(study.bench, study.base, parts) - _missed(bench, block, parts)
     return bool(saved.mean() > sigmas * saved.std(ddof=1) / np.sqrt(len(saved)))
 
 
@@ -119,12 +132,9 @@ def _along_widest(centre: Array, part: IntArray) -> IntArray:
     return np.asarray(part[np.argsort(centre[part, joint], kind="stable")])
 
 
-def _missed(study: Study, parts: Sequence[IntArray]) -> Array:
+def _missed(bench: Bench, block: Block, parts: Sequence[IntArray]) -> Array:
     """Squared error of equations that are predicted from those of all other parts, per part, in variances."""
-    base = study.base
-    left = predicted_from_others(
-        base.A, study.bench.b, parts, base.lower, base.upper, base.width**-2.0, study.bench.rounding
-    )  # fmt: skip
+    left = predicted_from_others(block.A, bench.b, parts, block.lower, block.upper, block.width**-2.0, bench.rounding)
     return np.array([(left[rows] ** 2).sum() for rows in parts])
 
 

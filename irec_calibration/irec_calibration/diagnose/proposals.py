@@ -18,7 +18,7 @@ from ..errors import SolveError
 from ..model import Term
 from ..typing import Array
 from .candidates import Trial, options, try_option
-from .evidence import Ground
+from .evidence import Block, Ground
 from .held_out import held_out
 from .remainder import Remainder
 from .ripples import ripples
@@ -62,7 +62,7 @@ def proposals(
     """
     before = held_out(study).rms_m
     out: list[Proposal] = []
-    for effect, odds in weighed(study, remainder, depends_on, check, settings):
+    for effect, _, odds in weighed(study, remainder, depends_on, check, settings):
         if len(out) == MOST:
             break
         check()
@@ -77,9 +77,9 @@ def proposals(
 
 def weighed(
     study: Study, remainder: Remainder, depends_on: Sequence[str], check: Callable[[], None], settings: Settings = SETTINGS
-) -> list[tuple[FormulaEffect, float]]:
-    """Formulas with the evidence that a name needs on top of a model, and that evidence in nats (the number of formulas tried
-    taken off), the likeliest first. Arguments as of `proposals`."""
+) -> list[tuple[FormulaEffect, Block, float]]:
+    """Formulas with the evidence that a name needs on top of a model, their columns, and that evidence in nats (the number of
+    formulas tried taken off), the likeliest first. Arguments as of `proposals`."""
     turned = {p.structure.axis for p in remainder.structures if p.structure.axis is not None}
     written = list(dict.fromkeys([*_ripples(study, remainder), *_formulas(study.ready, depends_on, sorted(turned))]))
     if not written:
@@ -92,8 +92,8 @@ def weighed(
         check()
         trials.append(try_option(ground, option, study.ready))
     trials.sort(key=lambda t: -t.log_evidence)
-    odds = [(effects[t.effect.id], t.log_evidence - log(len(written))) for t in trials]
-    return [(effect, nats) for effect, nats in odds if nats >= settings.nats_to_name]
+    odds = [(effects[t.effect.id], t.best.block, t.log_evidence - log(len(written))) for t in trials]
+    return [one for one in odds if one[2] >= settings.nats_to_name]
 
 
 def _ripples(study: Study, remainder: Remainder) -> Iterator[str]:

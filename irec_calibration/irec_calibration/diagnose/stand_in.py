@@ -103,7 +103,7 @@ def _ripple(
         theta = next(t for t in made.study.terms if t.effect is effect).theta(effect.parameters(there))
         too_far = effect.too_far(there, theta)
         if not too_far:
-            return StandIn(effect, odds, made) if helps(before, made, settings.held_out_sigmas) else None
+            return StandIn(effect, odds, made) if _helps(before, made, settings.held_out_sigmas) else None
         axes -= too_far
     return None
 
@@ -120,12 +120,12 @@ def _best(
         effect_id = one.ids[-1]
         term = next(t for t in prune(one.study, (effect_id,)).study.terms if t.effect.id == effect_id)
         made = validated(session, (*before.study.terms, Term(term.effect, term.estimates)))
-        if helps(before, made, sigmas):
+        if _helps(before, made, sigmas):
             return one, StandIn(term.effect, one.named - current.named, made)
     return None
 
 
-def helps(before: Validated, made: Validated, sigmas: float) -> bool:
+def _helps(before: Validated, made: Validated, sigmas: float) -> bool:
     """Whether a model is better than the one before, on held-out poses by some standard errors: a fit need not reach what the
     linear problem promises."""
     mean, se, _ = gain(before.held_out, held_out_beside(before.study, made.study))

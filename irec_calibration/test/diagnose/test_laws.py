@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import Ladder, improve
-from irec_calibration.diagnose import laws as module
+from irec_calibration.diagnose.evidence import Block
 from irec_calibration.diagnose.laws import _may, helps_elsewhere, regions
 from irec_calibration.diagnose.proposals import _formulas
 from irec_calibration.effects.formula import FormulaEffect
@@ -136,25 +136,21 @@ def test_every_pose_is_in_one_region_and_none_is_alone():
     assert min(map(len, found)) >= 2
 
 
-def linear(A: np.ndarray, b: np.ndarray, q: np.ndarray) -> SimpleNamespace:
-    """A study of one equation per pose."""
-    p, free = A.shape[1], np.full(A.shape[1], np.inf)
-    base = SimpleNamespace(A=A, lower=-free, upper=free, width=np.full(p, 10.0))
-    pose = np.arange(len(b))
-    return SimpleNamespace(
-        bench=SimpleNamespace(b=b, pose=pose, rounding=1e-9), base=base, terms=(),
-        observation=SimpleNamespace(rows=pose, pose=pose), session=SimpleNamespace(q=q),
-    )  # fmt: skip
+def block(*columns: np.ndarray) -> Block:
+    free = np.full(len(columns), np.inf)
+    return Block(np.stack(columns, axis=1), -free, free, np.full(len(columns), 10.0))
 
 
 @pytest.mark.parametrize(("everywhere", "helps"), [(True, True), (False, False)])
-def test_what_only_neighbours_have_in_common_is_no_law(monkeypatch, everywhere, helps):
+def test_what_only_neighbours_have_in_common_is_no_law(everywhere, helps):
     rng = np.random.default_rng(3)
-    place = np.repeat(np.arange(16), 4)
+    pose, place = np.arange(64), np.repeat(np.arange(16), 4)
     q = np.stack([place % 4, place // 4], axis=1) + 0.01 * rng.normal(size=(64, 2))
     column = rng.choice([-1.0, 1.0], 64)
     b = 3.0 * column * (everywhere or place == 5) + 0.1 * rng.normal(size=64)
     column = column if everywhere else np.where(place == 5, column, 0.1 * column)  # next to nothing elsewhere
-    before, after = linear(np.ones((64, 1)), b, q), linear(np.stack([np.ones(64), column], axis=1), b, q)
-    monkeypatch.setattr(module, "study_of", lambda *_: after)
-    assert helps_elsewhere(before, after, 1.5) == helps
+    study = SimpleNamespace(
+        bench=SimpleNamespace(b=b, pose=pose, rounding=1e-9), base=block(np.ones(64)),
+        observation=SimpleNamespace(rows=pose, pose=pose), session=SimpleNamespace(q=q),
+    )  # fmt: skip
+    assert helps_elsewhere(study, study.bench, study.base + block(column), 1.5) == helps
