@@ -8,6 +8,7 @@ calibration presses with few forces, held-out poses with the same, and what happ
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -36,6 +37,8 @@ from .study import Study, study_of
 MOST = 3  # laws in a model
 TRIED = 3  # of the likeliest, each time
 NO_LAW = {"wandering"}  # evidence of what goes by itself
+MOST_OFTEN = 3.0  # per turn of an axis that nothing presses on
+REPEATS = re.compile(r"([\d.]+) \* q_")
 BISECTIONS = 4  # of the poses, at most: into 16 regions
 FEWEST_IN_REGION = 2  # poses
 
@@ -140,11 +143,15 @@ def _missed(bench: Bench, block: Block, parts: Sequence[IntArray]) -> Array:
 
 def _may(law: FormulaEffect, scene: Scene) -> bool:
     """Whether predictions and corrections may have it: in proportion to the process force in a loaded session, of an axis' own
-    torque and angle in an absolute one, without powers of anything else, which soon are far off where it is a little warmer."""
+    torque and angle in an absolute one, without powers of anything else, which soon are far off where it is a little warmer.
+
+    What repeats often per turn of an axis in an absolute session is left to `joint_ripple`, all orders of which belong together: one
+    order by itself did harm in poses that were not measured.
+    """
     if not is_predicted(law.cause, scene.kind) or isinstance(law.no_live_form(), Refused) or "**" in law.formula:
         return False
     if scene.kind == "absolute":
-        return law.turns_by_itself
+        return law.turns_by_itself and all(float(often) <= MOST_OFTEN for often in REPEATS.findall(law.formula))
     ones = np.ones(len(law.parameters(scene)))
     by_half = law.displacement(scene.with_wrench(0.5 * scene.force_in_tool, 0.5 * scene.torque_in_tool), ones)
     return np.allclose(by_half, 0.5 * law.displacement(scene, ones), rtol=1e-6, atol=1e-15)

@@ -94,9 +94,10 @@ def test_a_law_that_no_correction_could_use_is_left_to_people(warm):
         ("axis 5: a * cos(2 * q_5) + b * sin(2 * q_5)", True),
         ("axis 5: tau_g * (a * cos(q_5) + b * sin(q_5))", True),
         ("axis 5: a * cos(q_1) + b * sin(q_1)", False),
+        ("axis 5: a * cos(12.0197 * q_5) + b * sin(12.0197 * q_5)", False),
     ],
 )
-def test_where_nothing_presses_an_axis_turns_by_its_own_angle_and_torque_only(formula, may, warm):
+def test_where_nothing_presses_an_axis_turns_slowly_by_its_own_angle_and_torque_only(formula, may, warm):
     assert _may(FormulaEffect("law", formula), replace(warm, rows=replace(warm.rows, kind="absolute"))) == may
 
 
