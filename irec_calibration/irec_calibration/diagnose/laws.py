@@ -37,6 +37,7 @@ from .study import Study, study_of
 MOST = 3  # laws in a model
 TRIED = 3  # of the likeliest, each time
 NO_LAW = {"wandering"}  # evidence of what goes by itself
+WORTH = 0.01  # of the error on held-out poses, by which it has to fall
 MOST_OFTEN = 3.0  # per turn of an axis that nothing presses on
 REPEATS = re.compile(r"([\d.]+) \* q_")
 BISECTIONS = 4  # of the poses, at most: into 16 regions
@@ -89,7 +90,7 @@ def _best(
             made = validated(session, (*before.study.terms, Term(effect)))
         except SolveError:
             continue
-        if made.study.fit.rms >= plain.fit.rms or made.held_out.rms_m >= before.held_out.rms_m:
+        if made.study.fit.rms >= plain.fit.rms or made.held_out.rms_m > (1.0 - WORTH) * before.held_out.rms_m:
             continue
         again = study_of(plain.observation, made.study.terms)  # with it the springs are as soft as they are beside it
         if helps_elsewhere(plain, again.bench, again.base, settings.held_out_sigmas):
@@ -145,8 +146,8 @@ def _may(law: FormulaEffect, scene: Scene) -> bool:
     """Whether predictions and corrections may have it: in proportion to the process force in a loaded session, of an axis' own
     torque and angle in an absolute one, without powers of anything else, which soon are far off where it is a little warmer.
 
-    What repeats often per turn of an axis in an absolute session is left to `joint_ripple`, all orders of which belong together: one
-    order by itself did harm in poses that were not measured.
+    What repeats often per turn of an axis in an absolute session is left to `joint_ripple`, all orders of which belong together:
+    one order by itself did harm in poses that were not measured.
     """
     if not is_predicted(law.cause, scene.kind) or isinstance(law.no_live_form(), Refused) or "**" in law.formula:
         return False
