@@ -13,6 +13,7 @@ from irec_calibration.effects import Effect, Parameter, find_effect
 from irec_calibration.effects.formula import FormulaEffect
 from irec_calibration.effects.production import LOADED, at, production_scene
 from irec_calibration.effects.scene import Scene
+from irec_calibration.errors import EffectError
 from irec_calibration.model import Estimate, Model, Term, total_displacement
 from irec_calibration.robot import Robot
 from irec_correction.deflection import Deflection
@@ -172,6 +173,15 @@ def test_rotation_by_an_effect_of_the_user_is_that_of_its_joint():
     for mine, theirs in zip(Deflection(model, ROBOT)(q, force, np.ones(3), 0.004),
                             Deflection(as_torsion, ROBOT)(q, force, np.ones(3), 0.004), strict=True):  # fmt: skip
         np.testing.assert_allclose(mine, theirs, atol=1e-12)
+
+
+@pytest.mark.parametrize("formula", ["axis 3: c * sqrt(tau)", "axis 3: c * log(tau**2)"])
+def test_a_formula_that_gives_no_number_now_says_so_and_which_it_is(formula):
+    of_formula = Deflection(Model((Term(FormulaEffect("mine", formula), {"c": Estimate(1e-9)}),)), ROBOT)
+    q, force = np.array([0.1, -1.5, 1.4, 0.2, 0.5, -0.3]), np.array([100.0, -50.0, -900.0])
+    with pytest.raises(EffectError, match="formula 'axis 3: .*not a finite number"):
+        for sign in (1.0, -1.0):
+            of_formula(q, sign * force, np.zeros(3), 0.004)
 
 
 @pytest.mark.parametrize(

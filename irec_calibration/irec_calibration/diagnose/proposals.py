@@ -60,9 +60,10 @@ def proposals(
         remainder: what is left beside it.
         depends_on: session columns and `tau_k`, strongest first.
     """
-    before = held_out(study).rms_m
+    likely = weighed(study, remainder, depends_on, check, settings)
+    before = held_out(study).rms_m if likely else 0.0
     out: list[Proposal] = []
-    for effect, _, odds in weighed(study, remainder, depends_on, check, settings):
+    for effect, _, odds in likely:
         if len(out) == MOST:
             break
         check()

@@ -147,7 +147,11 @@ class FormulaEffect(Effect):
         if self._axis is None or not all(READ.fullmatch(n) for n in self._read):
             return ByDisplacement()
         values = dict(zip(self._names, (float(v) for v in theta), strict=True))
-        return AxisLaw(self._axis, scene.n_joints, self._read, lambda variables: self._evaluate({**variables, **values}))
+
+        def angle(variables: dict[str, float]) -> Array:
+            return self._evaluate({**variables, **values})
+
+        return AxisLaw(self.formula, self._axis, scene.n_joints, self._read, angle)
 
     def _counted_from(self) -> dict[str, float]:
         """Temperatures that are counted from one value: those that stand in a difference `temp_NAME - NUMBER`."""
