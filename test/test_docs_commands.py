@@ -17,6 +17,7 @@ from workbench_server import write_hidden
 
 OWN_EFFECT = "docs/adding-an-effect.md"
 ELSEWHERE = {
+    "join": "test_follow_up.py and irec_calibration/test/session",
     "plan": "test_afp_planning_and_codec.py and irec_calibration/test/poses",
     "codec": "test_afp_planning_and_codec.py and irec_calibration/test/codec",
     "tool-load": "irec_calibration/test/sensors",
@@ -43,10 +44,11 @@ def commands() -> list[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory):
-    """What the pages name: SESSION, RECORDING, model.yaml, model2.yaml, improved/model.yaml, table, my_effects.py, config,
-    mine/mine.yaml."""
+    """What the pages name: SESSION, both (sessions that were joined), RECORDING, model.yaml, model2.yaml, improved/model.yaml,
+    table, my_effects.py, config, mine/mine.yaml."""
     place = tmp_path_factory.mktemp("docs")
     write_hidden(place / "SESSION")
+    shutil.copytree(place / "SESSION", place / "both")
     session = read_session(place / "SESSION")
     write_mcap(session, place / "RECORDING.mcap")
     shutil.copytree(ROOT / "config", place / "config")

@@ -37,6 +37,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "inspect": ("inspect_bag", "what an MCAP recording holds and lacks"),
     "export": ("export", "MCAP session to a table"),
     "import": ("import_session", "table (or a foreign one, by a profile) to a session"),
+    "join": ("join", "several sessions of one robot as one, where more poses were measured later"),
     "joint-stiffness": ("joint_stiffness", "joint stiffness from motor and link encoders"),
     "tool-load": ("tool_load", "tool mass, centre of mass and bias from a recording without contact"),
     "latency": ("latency", "how late the robot follows the force, from a recording"),

@@ -15,6 +15,7 @@ from .cellfile import CellFile, read_cell
 from .errors import SimError
 from .hidden import write_matrix
 from .matrix import KIND_NAMES, STRENGTHS, clean_cases, matrix_cases, plain_cases
+from .poses import poses_of_file
 from .session import generate, scale_to_share, write_deflections, write_session
 from .truth import EFFECTS, Truth, make_truth, read_truth
 
@@ -38,7 +39,9 @@ def _session(args: argparse.Namespace) -> int:
                     f"irec-sim: {h.effect} does not reach {args.strength:g} of the deflection with these parameters",
                     file=sys.stderr,
                 )
-    made = generate(cell, truth, args.poses, args.seed, args.repeats)
+    at = None if args.at is None else poses_of_file(args.at, cell)
+    count = args.poses if at is None else len(at.q)
+    made = generate(cell, truth, count, args.seed, args.repeats, at=at)
     folder = write_session(made, args.output, args.name or Path(args.output).name)
     if args.truth_out is not None:
         out = Path(args.truth_out)
@@ -48,7 +51,7 @@ def _session(args: argparse.Namespace) -> int:
         (out / "truth.yaml").write_text(yaml.safe_dump(truth.as_data(), sort_keys=False), encoding="utf-8")
         write_deflections(made, out / "truth.csv")
     size = np.linalg.norm(made.rows[0].deflection, axis=2)
-    print(f"{folder}: {args.poses} poses x {len(cell.load_cases)} load cases x {args.repeats}")
+    print(f"{folder}: {count} poses x {len(cell.load_cases)} load cases x {args.repeats}")
     print(f"deflection of the TCP: mean {1e3 * size.mean():.3f} mm, max {1e3 * size.max():.3f} mm")
     return 0
 
@@ -83,6 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     session.add_argument("--truth-seed", type=int, default=0, help="draws what the truth leaves open (default: 0)")
     session.add_argument("--strength", type=float, help="scale each hidden effect to this share of the RMS deflection, e.g. 0.08")
     session.add_argument("--poses", type=int, default=31)
+    session.add_argument("--at", metavar="FILE", help="pose file of irec plan: measure there, in place of --poses")
     session.add_argument("--repeats", type=int, default=1)
     session.add_argument("--seed", type=int, default=0, help="poses, times, noise")
     session.add_argument("--name", help="name in session.yaml")

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .cellfile import CellFile
 from .errors import SimError
+from .files import read_yaml
 from .kinematics import Array, forward, inverse
 
 _JOINT_MARGIN = 0.05  # rad
@@ -96,3 +98,26 @@ def spread_poses(cell: CellFile, n: int, rng: np.random.Generator, margin: float
         distance = np.minimum(distance, np.linalg.norm(at - at[chosen[-1]], axis=1))
     order = rng.permutation(chosen)
     return Poses(q[order], rail[order], p[order], R[order])
+
+
+def poses_of_file(path: str | Path, cell: CellFile) -> Poses:
+    """The engagements of a pose file (irec-poses/1), in its order.
+
+    Raises:
+        SimError: not a pose file, or of another robot.
+    """
+    data = read_yaml(path, "pose file")
+    poses = data.get("poses") if isinstance(data, dict) and data.get("format") == "irec-poses/1" else None
+    if not isinstance(poses, list) or not poses:
+        raise SimError(f"{path}: is no pose file: format has to be 'irec-poses/1', and poses a list of one or more")
+    if (data.get("robot") or {}).get("serial", cell.serial) != cell.serial:
+        raise SimError(f"{path}: planned for robot {data['robot']['serial']!r}, {cell.path} has {cell.serial!r}")
+    try:
+        q = np.array([p["joints"] for p in poses], dtype=float)
+        rail = np.array([(p.get("ext") or {}).get("rail", 0.0) for p in poses], dtype=float)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise SimError(f"{path}: a pose has no joint angles that can be read ({error})") from error
+    if q.ndim != 2 or q.shape[1] != cell.chain.n or not (np.isfinite(q).all() and np.isfinite(rail).all()):
+        raise SimError(f"{path}: each pose needs {cell.chain.n} joint angles in rad, and the rail in m")
+    pose = forward(cell.chain, q)
+    return Poses(q, rail, pose.p_tcp, pose.R_tool)

@@ -19,7 +19,7 @@ import yaml
 from axes import AxisScore, axes_in_model, axes_in_text, hidden_axes, score_axes
 
 SERIOUS = 0.08  # strength from which an effect has to be found
-FORM = ("bending_place",)  # completes the form of the base model: springs of every plant sit off the joints' origins
+FORM = ("bending_place", "linkage_compliance")  # complete the form of the base model, which every plant has more of
 ROWS = re.compile(r"outlier|bad_row|suspect|spoiled|left_out|set_aside")  # keys of diagnosis.json that list doubtful rows
 
 

@@ -62,6 +62,7 @@ EXAMPLES: dict[str, tuple[str, str]] = {
     "inspect": ("irec inspect session.mcap", "topics, rates, gaps, and what it lacks to be a session"),
     "export": ("irec export session.mcap -o table", "table/: session.yaml, samples.csv, robot.urdf"),
     "import": ("irec import table -o session.mcap", "session.mcap; with --profile a table from foreign columns"),
+    "join": ("irec join SESSION MORE -o both", "both/: one session with the rows of all"),
     "joint-stiffness": ("irec joint-stiffness recordings/ -o stiffness", "stiffness of each joint with its standard error"),
     "latency": ("irec latency course.mcap", "delay from a reading to the motion it causes; parameter lead of the correction"),
     "posture": ("irec posture model.yaml SESSION cell.yaml", "predicted deviation turn by turn, and what hinders a turn"),
@@ -90,6 +91,7 @@ FOLLOWS: dict[str, str] = {
     "history": "next: hold the model against a session: irec compare {model} SESSION",
     "export": "next: irec diagnose {output}",
     "import": "next: irec diagnose {output}",
+    "join": "next: irec diagnose {output}",
     "inspect": "next: where it is a session: irec diagnose {bag}; else: irec import --help, irec export --help",
     "joint-stiffness": "next: hold it beside what a session says: irec solve SESSION",
 }
@@ -118,6 +120,9 @@ def what_follows(command: str, arguments: dict[str, Any]) -> str:
         )
     if command == "solve" and arguments.get("without_tracker"):
         return f"next: see what it lacks: irec improve {shlex.quote(str(arguments['session']))} --without-tracker -o improved"
+    if command == "plan" and arguments.get("to_tell"):
+        session = shlex.quote(str(arguments["to_tell"]))
+        return f"next: measure at these poses (Procedure 1), then: irec join {session} NEW_SESSION -o both && irec diagnose both"
     text = FOLLOWS.get(command, "")
     quoted = {k: shlex.quote(str(v)) for k, v in arguments.items() if v is not None}
     try:

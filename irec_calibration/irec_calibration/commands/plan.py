@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`irec plan CELL -n 31 --method cover --d-max 0.175 -o poses.yaml`: choose engagement poses on the tooling of a cell."""
+"""`irec plan CELL -n 31 --method cover --d-max 0.175 -o poses.yaml`: choose engagement poses on the tooling of a cell.
+
+`irec plan CELL --to-tell SESSION -o next_poses.yaml` chooses few that answer what a diagnosis of the session leaves open.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,30 @@ import argparse
 import json
 from pathlib import Path
 
-from ..cell import read_cell
+from ..cell import Cell, read_cell
+from ..diagnose.to_tell import Told, chosen_to_tell, in_words, left_open, tells
+from ..effects import find_effect
 from ..errors import IrecError
-from ..poses.plan import TURN, TURN_FROM, make_plan, pose_list, turn_for
+from ..poses.plan import TURN, TURN_FROM, Plan, make_plan, pose_list, turn_for
+from ..poses.pool import Pool
 from ..poses.select import METHODS
 from ..poses.store import write_poses
 from ..report.pose_picture import save_picture
+from ..session import read_session
+from ..session.plausible import check_plausible
+from ..typing import IntArray
+from ._progress import Progress
+
+POSES, POSES_TO_TELL = 31, 8
+POOL, POOL_TO_TELL = 3000, 400
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cell", help="cell file, e.g. config/cells/afp.yaml")
-    parser.add_argument("-n", type=int, default=31, help="number of poses (default: 31)")
+    parser.add_argument("-n", type=int, help=f"number of poses (default: {POSES}; with --to-tell {POSES_TO_TELL})")
+    parser.add_argument(
+        "--to-tell", metavar="SESSION", help="choose poses that answer what a diagnosis of this session of the cell leaves open"
+    )
     methods = "; ".join(f"{name}: {text}" for name, text in METHODS.items())
     parser.add_argument("--method", choices=list(METHODS), default="cover", help=f"{methods} (default: cover)")
     parser.add_argument(
@@ -26,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     turn = "poses, at least, in which loads turn the torque of each axis that they can turn; play shows nowhere else"
     parser.add_argument("--turn", type=int, metavar="POSES", help=f"{turn} (default: {TURN}, or 0 if N < {TURN_FROM})")
     parser.add_argument("--along-surface", action="store_true", help="distances along the surface instead of straight")
-    parser.add_argument("--pool", type=int, default=3000, help="size of the pool of candidates (default: 3000)")
+    parser.add_argument("--pool", type=int, help=f"candidates (default: {POOL}; with --to-tell {POOL_TO_TELL})")
     parser.add_argument("--seed", type=int, default=1, help="of the random draws (default: 1)")
     parser.add_argument("-o", "--output", help="pose file (default: the one that the cell file names)")
     parser.add_argument("--picture", help="PNG of surface, pool and poses (default: beside the pose file)")
@@ -35,17 +51,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     cell = read_cell(args.cell)
-    plan = make_plan(
-        cell,
-        args.n,
-        method=args.method,
-        d_max=args.d_max,
-        pool_size=args.pool,
-        seed=args.seed,
-        along_surface=args.along_surface,
-        turn=turn_for(args.n) if args.turn is None else args.turn,
-    )
-    path = write_poses(pose_list(cell, plan), args.output or cell.poses_path)
+    plan, told = _plan(args, cell)
+    path = write_poses(pose_list(cell, plan), args.output or _poses_path(args, cell))
     picture: Path | None = None
     missing = ""
     try:
@@ -54,13 +61,70 @@ def run(args: argparse.Namespace) -> int:
         if args.picture:
             raise
         missing = str(error)
-    f = plan.figures
     if args.json:
         about = {"poses": str(path), "picture": str(picture) if picture else None}
         print(json.dumps({**about, "drawn": plan.pool.drawn, "rejected": plan.pool.rejected, "pool": len(plan.pool), **{
-            "method": plan.method, "figures": f}}))  # fmt: skip
-        return 0
-    print(f"pool: {plan.pool.counts()}")
+            "method": plan.method, "figures": plan.figures}, **({"to_tell": _told_json(told)} if told else {})}))  # fmt: skip
+    else:
+        print(f"pool: {plan.pool.counts()}")
+        if told is None:
+            _tell_figures(plan)
+        else:
+            print("\n".join([f"N = {len(plan.chosen)} poses, those that tell most first", *in_words(told, _label)]))
+        print(f"wrote {path}" + (f" and {picture}" if picture else f" (no picture: {missing})"))
+    return 0 if told is None or tells(told) else 1
+
+
+def _plan(args: argparse.Namespace, cell: Cell) -> tuple[Plan, Told | None]:
+    """The plan, and what it is expected to tell where it was made for that."""
+    if not args.to_tell:
+        n = POSES if args.n is None else args.n
+        plan = make_plan(
+            cell,
+            n,
+            method=args.method,
+            d_max=args.d_max,
+            pool_size=POOL if args.pool is None else args.pool,
+            seed=args.seed,
+            along_surface=args.along_surface,
+            turn=turn_for(n) if args.turn is None else args.turn,
+        )
+        return plan, None
+    n = POSES_TO_TELL if args.n is None else args.n
+    session = read_session(args.to_tell)
+    check_plausible(session)
+    asked = left_open(session, progress=Progress())
+    told: list[Told] = []
+
+    def choose(pool: Pool) -> IntArray:
+        told.append(chosen_to_tell(asked, cell, pool, n))
+        return told[0].chosen
+
+    size = POOL_TO_TELL if args.pool is None else args.pool
+    plan = make_plan(cell, n, method="to_tell", pool_size=size, seed=args.seed, choose=choose)
+    return plan, told[0]
+
+
+def _poses_path(args: argparse.Namespace, cell: Cell) -> Path:
+    """Where poses go that have no place of their own: those of the whole procedure to where the cell says, others beside it."""
+    return cell.poses_path.with_name("next_poses.yaml") if args.to_tell else cell.poses_path
+
+
+def _told_json(told: Told) -> list[dict[str, object]]:
+    return [
+        {"names": [n for n in q.names if n], "nats": told.nats[i, -1].tolist(), "lacks": list(q.lacks), "chance": told.chance(i)}
+        for i, q in enumerate(told.questions)
+    ]
+
+
+def _label(name: str) -> str:
+    """An effect in words; with a colon its axes follow."""
+    effect_id, colon, rest = name.partition(":")
+    return find_effect(effect_id).label + (f" ({rest.strip()})" if colon else "")
+
+
+def _tell_figures(plan: Plan) -> None:
+    f = plan.figures
     print(f"N = {len(plan.chosen)} poses by {plan.method}, cover distance {1e3 * f['cover_distance_m']:.1f} mm")
     print(
         f"spread: {100 * f['edge_share']:.0f} % of the poses in the outer quarter of the surface, nearest neighbours "
@@ -77,5 +141,3 @@ def run(args: argparse.Namespace) -> int:
     axes = [name.removeprefix("turnable_") for name, count in f.items() if name.startswith("turnable_") and count]
     turned = [f"{a} in {f[f'turned_{a}']:.0f} poses (of {f[f'turnable_{a}']:.0f} in the pool)" for a in axes]
     print(f"play shows where loads turn the torque of an axis: {', '.join(turned) or 'nowhere'}")
-    print(f"wrote {path}" + (f" and {picture}" if picture else f" (no picture: {missing})"))
-    return 0

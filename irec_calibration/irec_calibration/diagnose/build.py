@@ -21,7 +21,7 @@ from .family import Family
 from .level import family_in_view
 from .naming import needed, odds_of, refused
 from .remainder import grow
-from .rivals import Check, Rivals, rivals_of
+from .rivals import Check, InPlace, Rivals, rivals_of
 from .settings import SETTINGS, Settings
 from .several import Tried, several_together
 from .standing import all_stand, proven, pruned
@@ -42,7 +42,8 @@ class Built:
         singles: the effects fitted exactly at the first step, best first.
         steps: the start and every model on the way, the last is the result; evidence: of the name that each step added.
         closest: the best name that was refused at the end, and why.
-        rivals: added effect -> others that would do in its place, each with the odds against it in nats.
+        rivals: added effect -> others that would do in its place, each with the odds against it in nats; rival_models: the
+            models with these, by both.
         possible: effects that can act on the session; tried: added effects of a model -> of these, fitted exactly on top of it.
         seen: the observation as the last model asks to see it (`Look`), where that is otherwise; then nothing else is final.
     """
@@ -57,6 +58,7 @@ class Built:
     closest: Explanation | None = None
     reason: str = ""
     rivals: dict[str, tuple[tuple[str, float], ...]] = field(default_factory=dict)
+    rival_models: dict[tuple[str, str], InPlace] = field(default_factory=dict)
     possible: tuple[Option, ...] = ()
     tried: Tried = field(default_factory=dict)
     seen: Observation | None = None
@@ -249,7 +251,7 @@ def build(study: Study, check: Check = lambda: None, look: Look = lambda *_: Non
     rivals = way.rivals([i for i in dict.fromkeys(gone) if i not in names])
     return Built(
         start, family, way.trials, skipped, way.singles, tuple(way.steps), way.evidence, way.closest, way.reason, rivals.of,
-        tuple(found), way.beyond, way.otherwise(),
+        rivals.models, tuple(found), way.beyond, way.otherwise(),
     )  # fmt: skip
 
 

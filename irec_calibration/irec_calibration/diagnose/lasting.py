@@ -104,6 +104,7 @@ def usually_beyond(study: Study, rows: IntArray) -> Array:
             *rides,
             usual.place_m * np.tile(np.eye(3), (len(rows), 1, 1)), usual.angle_rad * turn, usual.place_m * scene.kin.R_tool[rows],
             usual.angle_rad * J, usual.angle_rad * scene.V[rows],
+            usual.place_m * scene.kin.R_joint[rows].swapaxes(1, 2).reshape(len(rows), 3, -1),
             usual.periodic_rad * J * np.sin(q)[:, None], usual.periodic_rad * J * np.cos(q)[:, None],
             usual.course_m * course[:, None, None] * np.eye(3), usual.soft * J * scene.tau_gravity[rows][:, None, :],
         ], axis=2,

@@ -108,11 +108,13 @@ class View:
 
 @dataclass(frozen=True)
 class Measurement:
-    """A sample worth measuring: where rivals predict different displacements.
+    """A sample worth measuring: where it tells rivals apart.
 
     Attributes:
-        difference_m: between the rivals' predictions; gain: half its square in standard deviations of one sample, as stated.
+        difference_m: between the rivals' predictions as they are fitted.
+        gain: evidence to be expected of one sample once both are refitted, nats (`telling`).
         q: joint angles, rad; pose is 0 for a new pose.
+        repeats: how often to take it to tell them apart; 0: nobody would take it so often.
     """
 
     pose: int
@@ -121,6 +123,7 @@ class Measurement:
     difference_m: float
     gain: float
     q: tuple[float, ...] = ()
+    repeats: int = 0
 
 
 @dataclass(frozen=True)
@@ -249,6 +252,7 @@ class Diagnosis:
                     "separates": list(m.separates),
                     "difference_m": m.difference_m,
                     "gain": m.gain,
+                    "repeats": m.repeats,
                     **({"joints": list(m.q)} if m.q else {}),
                 }
                 for m in self.next_measurements

@@ -21,6 +21,22 @@ Check = Callable[[], None]
 
 
 @dataclass(frozen=True)
+class InPlace:
+    """A rival in the place of a name.
+
+    Attributes:
+        model: with the rival.
+        odds: of the name over it, nats; own: of the name over none in its place; share: of own, which the name has to
+            bring more.
+    """
+
+    model: Explanation
+    odds: float
+    own: float
+    share: float
+
+
+@dataclass(frozen=True)
 class Rivals:
     """What would do in the place of names.
 
@@ -28,10 +44,12 @@ class Rivals:
         of: added effect -> others and the odds against each, nats; below `nats_over_rival` the name is one of several.
         likelier: models in which another effect stands in a name's place and explains the session better by more than what is not
             told apart, each with the model without either; the likeliest first.
+        models: (added effect, rival) -> the rival in its place.
     """
 
     of: dict[str, tuple[tuple[str, float], ...]] = field(default_factory=dict)
     likelier: tuple[tuple[Explanation, Explanation], ...] = ()
+    models: dict[tuple[str, str], InPlace] = field(default_factory=dict)
 
 
 def rivals_of(
@@ -51,6 +69,7 @@ def rivals_of(
     """
     out = {}
     likelier: list[tuple[float, Explanation, Explanation]] = []
+    models: dict[tuple[str, str], InPlace] = {}
     by_id = {o.effect.id: o for o in found}
     for term in final.added:
         others: dict[str, Explanation | None] = {i: e for i, e in near.get(term.effect.id, {}).items() if i not in final.ids}
@@ -116,11 +135,12 @@ def rivals_of(
             # what has no name may tell them apart no better than they do themselves
             if odds < settings.nats_to_name or counts < settings.nats_over_rival:
                 same.append((other, counts))
+                models[term.effect.id, other] = InPlace(one, raw, by_themselves - by_none, share)
                 if raw < -settings.nats_to_separate and one.term(other).effect.beside != term.effect.id:
                     likelier.append((raw, one, bare))
         if same:
             out[term.effect.id] = tuple(sorted(same, key=lambda t: t[1]))
-    return Rivals(out, tuple((one, bare) for _, one, bare in sorted(likelier, key=lambda t: t[0])))
+    return Rivals(out, tuple((one, bare) for _, one, bare in sorted(likelier, key=lambda t: t[0])), models)
 
 
 def as_they_count(odds: float, own: float, share: float) -> float:

@@ -24,6 +24,7 @@ from .held_out import held_out, validated
 from .next_poses import next_measurements
 from .parts import parts_in, without_columns
 from .proposals import proposals
+from .questions import Question, questions
 from .result import Candidate, Diagnosis, Measurement
 from .shown import Shown, shown_of
 from .study import Study, completed_study
@@ -244,31 +245,16 @@ def _plausible(term: Term, study: Study) -> bool:
 
 
 def _next(assessment: Assessment) -> tuple[Measurement, ...]:
-    """Samples that tell the best explanation from its strongest rival."""
-    built, session = assessment.built, assessment.study.session
+    """Samples that answer what the diagnosis leaves open: of each name against its likeliest rival, then of axes; else whether
+    the likeliest effect that lacks evidence is there."""
+    asked = questions(assessment)
+    likeliest: dict[str, Question] = {}
+    for question in asked:
+        likeliest.setdefault("" if question.is_presence else question.names[0], question)
     planned: list[Measurement] = []
-    exact = {e.ids[0]: e for e in built.singles}
-    if assessment.other is not None:
-        planned += _apart(session, assessment.study.terms, *assessment.other)
-    for one, rivals in built.rivals.items():
-        if one in assessment.usual:
+    for question in likeliest.values():
+        try:
+            planned += next_measurements(assessment.study.session, question, assessment.noise.ratio)
+        except SolveError:
             continue
-        rival = exact.get(rivals[0][0])
-        mine = exact.get(one)
-        if rival is not None and mine is not None:
-            planned = [*_apart(session, mine.study.terms, rival.study.terms, (one, rivals[0][0])), *planned]
-    if planned or not built.singles:
-        return tuple(planned)
-    one_study = assessment.study if assessment.added else built.singles[0].study
-    name = "+".join(assessment.added or built.singles[0].ids)
-    other = next((e for e in built.singles if e.ids[0] not in (assessment.added or built.singles[0].ids)), None)
-    terms = other.study.terms if other else built.start.study.terms
-    label = other.ids[0] if other else "the model without it"
-    return _apart(session, one_study.terms, terms, (name, label))
-
-
-def _apart(session: Session, a: Sequence[Term], b: Sequence[Term], names: tuple[str, str]) -> tuple[Measurement, ...]:
-    try:
-        return next_measurements(session, a, b, names)
-    except SolveError:
-        return ()
+    return tuple(planned)

@@ -14,7 +14,6 @@ from ..lengths import length
 from ..typing import Json
 from .assessment import Assessment
 from .explanation import implausible
-from .next_poses import repeats_to_tell
 from .part_sets import Parts
 from .result import Candidate, Comparison, Measurement, Verdict
 from .settings import SETTINGS
@@ -164,16 +163,17 @@ def _misplaced(study: Study) -> list[str]:
 def _form(shown: Shown) -> list[str]:
     """What completes the form of the model's springs: no cause, but a better model."""
     labels = " and ".join(find_effect(i).label for i in shown.form)
+    matter = "matter" if len(shown.form) > 1 else "matters"
     if not shown.form_matters:
         has = shown.completed is not None or shown.without_form is not None
         return [f"The model has the springs' {labels} as every robot has; this session says little of it."] if has else []
     if shown.without_form is not None:
         error = length(shown.without_form.held_out.rms_m)
-        return [f"Beside that the springs' {labels} matters: without it that error would be {error}."]
+        return [f"Beside that the springs' {labels} {matter}: without it that error would be {error}."]
     if shown.completed is None:
         return []
     before, after = shown.asked.held_out.rms_m, shown.completed.held_out.rms_m
-    return [f"The springs' {labels} matters too: with it the error on held-out poses is {length(after)} for {length(before)}."]
+    return [f"The springs' {labels} {matter} too: with it the error on held-out poses is {length(after)} for {length(before)}."]
 
 
 def _stands_in(shown: Shown) -> list[str]:
@@ -296,12 +296,9 @@ def _apart(assessment: Assessment, planned: Sequence[Measurement]) -> list[str]:
     m = next((m for m in planned if assessment.other is not None and m.separates == assessment.other[1]), None)
     if m is None:
         return []
-    repeats = repeats_to_tell(m, assessment.noise)
-    if not repeats:
+    if not m.repeats:
         return ["No load case at these poses or near them separates these axes."]
-    often = f", so take at least {repeats} repeats" if repeats > 1 else ""
-    sample = f"Measuring load case {m.load_case} at {_at(m)}"
-    return [f"{sample} separates these axes: they differ there by {length(m.difference_m)}{often}."]
+    return [f"Measuring load case {m.load_case} at {_at(m)}{_often(m)} separates these axes ({length(m.difference_m)} there)."]
 
 
 def _rivals_apart(assessment: Assessment, planned: Sequence[Measurement]) -> list[str]:
@@ -312,12 +309,17 @@ def _rivals_apart(assessment: Assessment, planned: Sequence[Measurement]) -> lis
     if m is None:
         return []
     one, other = map(_label, m.separates)
-    repeats = repeats_to_tell(m, assessment.noise)
-    if not repeats:
+    if m.repeats:
         return [
-            f"No load case at these poses or near them tells {one} from {other}: they differ by {length(m.difference_m)} at most,"
-            f" too little for {SETTINGS.proposed.most_repeats} repeats at this noise."
+            f"Measuring load case {m.load_case} at {_at(m)}{_often(m)} separates {one} and {other}"
+            f" ({length(m.difference_m)} there)."
         ]
-    often = f", so take at least {repeats} repeats" if repeats > 1 else ""
-    sample = f"Measuring load case {m.load_case} at {_at(m)}"
-    return [f"{sample} separates {one} and {other}: they differ there by {length(m.difference_m)}{often}."]
+    where = "; irec plan --to-tell looks for poses on the whole tooling" if assessment.study.ready.kind == "loaded" else ""
+    return [
+        f"No single load case at these poses or near them tells {one} from {other}: once both are fitted to it, even"
+        f" {SETTINGS.proposed.most_repeats} repeats at this noise leave them alike{where}."
+    ]
+
+
+def _often(m: Measurement) -> str:
+    return f" {m.repeats} times" if m.repeats > 1 else ""

@@ -20,6 +20,7 @@ from .joint_settling import JointSettling
 from .joint_stiffening import JointStiffening
 from .joint_torsion import JointTorsion
 from .link_bending import LinkBending
+from .linkage_compliance import LinkageCompliance
 from .marker_offset import MarkerOffset
 from .marker_position import MarkerPosition
 from .rail_compliance import RailCompliance
@@ -37,6 +38,7 @@ CATALOGUE: tuple[type[Effect], ...] = (
     JointTorsion,
     LinkBending,
     BendingPlace,
+    LinkageCompliance,
     ToolCompliance,
     BaseCompliance,
     RailCompliance,

@@ -164,4 +164,4 @@ def _by_geometry(scene: Scene) -> Array | None:
 
 def _following(scene: Scene) -> Array | None:
     """How joints follow a zero offset: a coupled joint those that drive it, and its own, (n, k, k)."""
-    return None if scene.arm.coupling is None else scene.arm.coupling + np.diag((~scene.driven).astype(float))
+    return scene.arm.coupling

@@ -29,8 +29,10 @@ class JointBacklash(Effect):
     label = "joint backlash"
     physics = (
         "Gear play: the joint moves by a fixed angle b_k when its total torque (process and gravity) changes sign: J_k b_k "
-        "tanh(tau / w)/2, w the range of torque over which tooth by tooth the play is taken up. Missing, the residual jumps by "
-        "the same angle whatever the load. An axis whose total torque never changes sign shows nothing."
+        "tanh(tau / w)/2, w the range of torque over which tooth by tooth the play is taken up. Where a seal, a brake or a brush "
+        "holds the gear to one side it is crossed beside zero, and the axis turns by p_k tanh(tau / w)^2/2 more (uneven 1; to "
+        "first order in the shift). Missing, the residual jumps by the same angle whatever the load. An axis whose total torque "
+        "never changes sign shows nothing."
     )
     family = Family.TORQUE_LAW
 
@@ -39,22 +41,32 @@ class JointBacklash(Effect):
             Parameter(f"b_{k + 1}", "rad", 1e-4, lower=0.0, plausible=(0.0, 3e-3), group=f"axis {k + 1}", axis=int(k))
             for k in np.flatnonzero(scene.driven)
         )
-        return (*axes, Parameter("w", "share of rated torque", AT_ONCE, 1e-4, WIDEST, start=AT_ONCE, grid=TAKEN_UP_OVER))
+        beside = tuple(
+            Parameter(f"p_{p.name[2:]}", "rad", 1e-4, plausible=(-3e-3, 3e-3), group=p.group, axis=p.axis) for p in axes
+        )
+        return (
+            *axes, *beside, Parameter("w", "share of rated torque", AT_ONCE, 1e-4, WIDEST, start=AT_ONCE, grid=TAKEN_UP_OVER),
+            Parameter("uneven", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0), kinds=True),
+        )  # fmt: skip
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        return self._columns(scene, theta[-1]) @ theta[:-1]
+        return self._columns(scene, *theta[-2:]) @ theta[:-2]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        h = 1e-3 * theta[-1]
-        by_range = (self._columns(scene, theta[-1] + h) - self._columns(scene, theta[-1] - h)) @ theta[:-1] / (2 * h)
-        return np.concatenate([self._columns(scene, theta[-1]), by_range[:, :, None]], axis=2)
+        *linear, w, uneven = theta
+        h = 1e-3 * w
+        by_range = (self._columns(scene, w + h, uneven) - self._columns(scene, w - h, uneven)) @ linear / (2 * h)
+        return np.concatenate([self._columns(scene, w, uneven), by_range[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
 
-    def _columns(self, scene: Scene, share: float) -> Array:
-        side = 0.5 * np.tanh((scene.tau_acting + scene.tau_gravity) / (share * rated_torque(scene.robot)))
-        return (scene.J * side[:, None, :])[:, :, scene.driven]
+    def _columns(self, scene: Scene, share: float, uneven: float) -> Array:
+        side = np.tanh((scene.tau_acting + scene.tau_gravity) / (share * rated_torque(scene.robot)))
+        turned = np.concatenate([0.5 * side, 0.5 * side**2 * (uneven >= 0.5)], axis=1)
+        J, driven = np.concatenate([scene.J, scene.J], axis=2), np.concatenate([scene.driven, scene.driven])
+        return (J * turned[:, None, :])[:, :, driven]
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray:
-        return np.append(comes_near_zero(scene, theta[-1] * rated_torque(scene.robot))[scene.driven], True)
+        near = comes_near_zero(scene, theta[-2] * rated_torque(scene.robot))[scene.driven]
+        return np.concatenate([near, near, [True, True]])
 
     def is_usual(self, values: Mapping[str, float], share: float) -> bool:
         play = [v for n, v in values.items() if n.startswith("b_")]
@@ -65,7 +77,7 @@ class JointBacklash(Effect):
         return tuple(
             Ageing(p.name, p.group + ": play of {:.0f} urad", 1e6 * PLAY, PLAY, "play", f"check the gear of {p.group} for play")
             for p in self.parameters(scene)
-            if not p.grid
+            if p.name.startswith("b_")
         )
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
@@ -77,11 +89,14 @@ class _Backlash(ColumnLaw):
 
     def __init__(self, scene: Scene, theta: Array) -> None:
         self.columns = drives(scene.n_joints)
-        self._half = np.zeros(scene.n_joints)
-        self._half[scene.driven] = 0.5 * theta[:-1]
-        self._soft = theta[-1] * rated_torque(scene.robot)
+        self._half, self._beside = np.zeros(scene.n_joints), np.zeros(scene.n_joints)
+        driven = int(scene.driven.sum())
+        self._half[scene.driven] = 0.5 * theta[:driven]
+        self._beside[scene.driven] = 0.5 * theta[driven:-2] * (theta[-1] >= 0.5)
+        self._soft = theta[-2] * rated_torque(scene.robot)
 
     def displacement(self, tick: Tick, tau: Array) -> Array:
         preload = tick.tau_gravity
-        out: Array = self._half * (np.tanh((tau + tick.tau_unseen + preload) / self._soft) - np.tanh(preload / self._soft))
+        side, before = np.tanh((tau + tick.tau_unseen + preload) / self._soft), np.tanh(preload / self._soft)
+        out: Array = self._half * (side - before) + self._beside * (side**2 - before**2)
         return out

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -157,7 +158,8 @@ def displacement_at(effect: Effect, theta: Array, scene: Scene) -> Array:
 
 def _at(columns: Array, theta: Array) -> Array:
     """Columns (..., p) times values (p,): as one product, since numpy makes thousands of small ones of it."""
-    return np.asarray(columns.reshape(-1, len(theta)) @ theta).reshape(columns.shape[:-1])
+    each = columns.shape[:-1]
+    return np.asarray(columns.reshape(prod(each), len(theta)) @ theta).reshape(each)
 
 
 def _rotation(further: Array) -> Array:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +62,7 @@ def make_plan(
     seed: int = 1,
     along_surface: bool = False,
     turn: int = 0,
+    choose: Callable[[Pool], IntArray] | None = None,
 ) -> Plan:
     """Generate the pool of a cell, select poses, and predict what they will teach.
 
@@ -71,6 +73,7 @@ def make_plan(
         along_surface: measure distances along the surface instead of straight.
         turn: poses in which the load cases turn the torque of each axis that they can turn anywhere on the tooling, at least, so
             that play shows; `cover` begins with those that it would lack, other methods exchange their nearest. 0: as it comes.
+        choose: chooses n poses of the pool itself, instead of a method; `turn` is left to it.
 
     Raises:
         PlanError: no point can be engaged, or fewer than n can.
@@ -92,9 +95,9 @@ def make_plan(
         information=weighted / mean,
         work=subspace.reduce(gram(deflection).mean(axis=0)),
     )
-    chosen = select_poses(method, candidates, n, d_max=d_max, seed=seed)
+    chosen = select_poses(method, candidates, n, d_max=d_max, seed=seed) if choose is None else choose(pool)
     far = turned(cell, pool.q)
-    needed = wanted(far, chosen, turn)
+    needed = wanted(far, chosen, turn if choose is None else 0)
     if len(needed) > n:
         raise PlanError(f"{n} poses can't turn the torque of each axis in {turn}: {len(needed)} are needed for that")
     if len(needed) and method == "cover":

@@ -290,12 +290,12 @@ def _next(diagnosis: Diagnosis, session: Session) -> list[Section]:
         return []
     sliding = session.robot.kinematics(session.q[:1]).is_prismatic
     rows = [
-        [m.pose or "new", m.load_case, " / ".join(m.separates), length(m.difference_m), f"{np.sqrt(2.0 * m.gain):.1f}",
+        [m.pose or "new", m.load_case, " / ".join(m.separates), length(m.difference_m), f"{m.gain:.1f}", m.repeats or "too often",
          " ".join(f"{v:.3f} m" if slides else f"{np.degrees(v):.0f}" for v, slides in zip(m.q, sliding, strict=False))]
         for m in diagnosis.next_measurements
     ]  # fmt: skip
-    header = ["pose", "load case", "separates", "difference", "in standard deviations", "joint angles [deg]"]
-    text = "Samples in which the rivals predict the most different displacements."
+    header = ["pose", "load case", "separates", "difference", "nats of one sample", "times", "joint angles [deg]"]
+    text = "Samples that tell rivals apart best, and how often to take them. What counts is what is left once both are refitted."
     return [Section("What to measure next", [text], (), [Table(header, rows)])]
 
 

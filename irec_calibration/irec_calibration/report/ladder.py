@@ -109,7 +109,7 @@ def _ladder(ladder: Ladder) -> Section:
         term = next((t for t in r.model.terms if t.effect.id == r.added), None)
         values = "; ".join(f"{n} = {e}" for n, e in list(term.estimates.items())[:6]) if term else ""
         rows.append([r.title, f"{length(r.cv_rms_m)} +- {length(r.cv_rms_se_m)}", length(r.fit_rms_m), values])
-    added = [find_effect(r.added) for r in rungs if r.added and (r.named or r.one_of)]
+    added = [find_effect(i) for r in rungs if r.added and (r.named or r.one_of) for i in r.added.split("+")]
     physics = [f"{effect.label.capitalize()}: {effect.physics}" for effect in added]
     return Section("What was added", physics, tables=[Table(["model", "held-out", "fit", "parameters added"], rows)])
 

@@ -8,7 +8,6 @@ import textwrap
 from collections.abc import Sequence
 
 from ..diagnose.improve import Ladder
-from ..diagnose.next_poses import repeats_to_tell
 from ..diagnose.result import Diagnosis, Measurement
 from ..identification.noise import InferredNoise
 from ..lengths import length
@@ -78,8 +77,11 @@ def after_diagnosis(d: Diagnosis, session: str, model: str = "", *, without_trac
             steps.append((f"{begin} Identify the model{'' if doubt else ' and use it'}:", _solve(d, s)))
     if d.next_measurements and v.status != "adequate":
         m = d.next_measurements[0]
-        if repeats := repeats_to_tell(m, d.noise):
-            steps.append((where_to_measure(m, repeats), ""))
+        if m.repeats:
+            steps.append((where_to_measure(m), ""))
+    if v.one_of and d.model.effects != GEOMETRIC:  # an absolute session has no tooling to plan on
+        tell = "Or measure poses that tell which of them it is, as far as this tooling can:"
+        steps.append((tell, f"irec plan CELL --to-tell {s}"))
     return steps
 
 
@@ -124,10 +126,10 @@ def after_improvement(ladder: Ladder, session: str, model: str, *, without_track
     ]
 
 
-def where_to_measure(m: Measurement, repeats: int = 1) -> str:
+def where_to_measure(m: Measurement) -> str:
     """A proposed measurement in a sentence, and how often to take it; joint angles in degrees."""
     at = f"pose {m.pose}" if m.pose else "a new pose at joints " + ", ".join(f"{DEGREES * x:.0f}" for x in m.q) + " deg"
-    often = f", {repeats} repeats" if repeats > 1 else ""
+    often = f", {m.repeats} repeats" if m.repeats > 1 else ""
     apart = f"it separates {' and '.join(m.separates)} by {length(m.difference_m)}"
     return f"Measure next: {at}, load case {m.load_case}{often}: {apart}."
 

@@ -29,8 +29,8 @@ def coupling(passive: dict[str, str], names: tuple[str, ...], q: Array) -> Array
         q: (n, k), rad.
 
     Returns:
-        (n, k, k): unit columns for driven joints with the coupled joints' share below; zero columns for passive ones. None where
-        every joint is driven.
+        (n, k, k): unit columns for driven joints with the coupled joints' share below; a unit column for a passive one, as if it
+        moved by itself. None where every joint is driven.
 
     Raises:
         SessionError: an expression that can't be read.
@@ -41,8 +41,6 @@ def coupling(passive: dict[str, str], names: tuple[str, ...], q: Array) -> Array
         return None
     n, k = q.shape
     out = np.tile(np.eye(k), (n, 1, 1))
-    for p in followers:
-        out[:, :, p] = 0.0
     for p, tree in followers.items():
         for d in range(k):
             if d not in followers:

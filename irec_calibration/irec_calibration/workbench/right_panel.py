@@ -121,7 +121,7 @@ class RightPanel:
             ui.label(f"No view (load case, axis, place, time, ...) shows structure{alone}.").classes("words")
         self._candidates(d)
         self._proposals(d)
-        for m in d["next_measurements"][:2]:
+        for m in [m for m in d["next_measurements"] if m.get("repeats", 1)][:2]:
             at = f"pose {m['pose']}" if m["pose"] else "a new pose"
             ui.label(
                 f"Measure next: {at}, load case {m['load_case']}: separates {' and '.join(m['separates'])}"

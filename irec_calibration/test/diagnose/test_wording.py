@@ -12,10 +12,10 @@ from irec_calibration.diagnose.part_sets import Parts
 from irec_calibration.diagnose.result import Measurement
 from irec_calibration.identification.noise import InferredNoise
 from irec_calibration.identification.validation import HeldOut, rms
+from irec_calibration.model import GEOMETRIC
 from irec_calibration.report.next_steps import after_diagnosis
 
 AS_STATED = InferredNoise(41e-6, 41e-6, 38e-6, 44e-6, "residual", 300.0)
-TWICE = InferredNoise(41e-6, 82e-6, 78e-6, 86e-6, "residual", 300.0)
 
 
 def made(rows: list[int], sizes: list[float]) -> SimpleNamespace:
@@ -57,8 +57,8 @@ def test_of_several_effects_it_is_said_whose_axes_are_not_sure() -> None:
     assert "Perhaps also axis 3" in missing("joint_backlash")
 
 
-def sample(difference_m: float, separates: tuple[str, ...] = ("tool_compliance", "base_compliance")) -> Measurement:
-    return Measurement(4, "normal", separates, difference_m, 0.5 * (difference_m / 41e-6) ** 2)
+def sample(repeats: int, separates: tuple[str, ...] = ("tool_compliance", "base_compliance")) -> Measurement:
+    return Measurement(4, "normal", separates, 41e-6, 0.5, repeats=repeats)
 
 
 def test_what_every_robot_has_is_said_to_be_part_of_how_far_the_error_falls() -> None:
@@ -66,43 +66,54 @@ def test_what_every_robot_has_is_said_to_be_part_of_how_far_the_error_falls() ->
     assert "Added, the error" in missing("joint_backlash")
 
 
-def apart(
-    difference_m: float,
-    noise: InferredNoise = AS_STATED,
-    rivals: tuple[str, ...] = ("base_compliance",),
-    usual: tuple[str, ...] = (),
-) -> str:
+def apart(repeats: int, rivals: tuple[str, ...] = ("base_compliance",), usual: tuple[str, ...] = (), kind: str = "loaded") -> str:
     built = SimpleNamespace(rivals={"tool_compliance": tuple((r, 0.1) for r in rivals)})
-    assessment = SimpleNamespace(built=built, noise=noise, usual=usual)
-    return " ".join(wording._rivals_apart(assessment, [sample(difference_m)]))  # type: ignore[arg-type]
+    study = SimpleNamespace(ready=SimpleNamespace(kind=kind))
+    assessment = SimpleNamespace(built=built, usual=usual, study=study)
+    return " ".join(wording._rivals_apart(assessment, [sample(repeats)]))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("difference_m", "noise", "words"),
+    ("repeats", "words"),
     [
-        (200e-6, AS_STATED, "they differ there by 200 um."),
-        (41e-6, AS_STATED, "they differ there by 41.0 um, so take at least 9 repeats."),
-        (200e-6, TWICE, "they differ there by 200 um, so take at least 2 repeats."),
-        (8.7e-6, AS_STATED, "they differ by 8.7 um at most, too little for 20 repeats"),
-        (41e-6, TWICE, "they differ by 41.0 um at most, too little for 20 repeats"),
+        (1, "at pose 4 separates"),
+        (9, "at pose 4 9 times separates"),
+        (0, "No single load case at these poses or near them tells"),
     ],
 )
-def test_how_often_a_sample_is_to_be_taken_is_said(difference_m: float, noise: InferredNoise, words: str) -> None:
-    text = apart(difference_m, noise)
+def test_how_often_a_sample_is_to_be_taken_is_said(repeats: int, words: str) -> None:
+    text = apart(repeats)
     assert words in text and "tool compliance" in text and "base compliance" in text
 
 
+def test_where_no_sample_tells_a_plan_on_the_tooling_is_proposed_for_loaded_sessions() -> None:
+    assert "--to-tell" in apart(0) and "--to-tell" not in apart(0, kind="absolute") and "--to-tell" not in apart(1)
+
+
 def test_nobody_is_sent_to_tell_what_every_robot_has_from_its_rival() -> None:
-    assert apart(200e-6) and apart(200e-6, usual=("tool_compliance",)) == ""
+    assert apart(1) and apart(1, usual=("tool_compliance",)) == ""
 
 
 def test_a_sample_that_separates_others_is_not_said_to_separate_the_rivals() -> None:
-    assert apart(200e-6, rivals=("station_shift",)) == "" and apart(200e-6, rivals=()) == ""
+    assert apart(1, rivals=("station_shift",)) == "" and apart(1, rivals=()) == ""
 
 
-@pytest.mark.parametrize(("difference_m", "words"), [(41e-6, "load case normal, 9 repeats: it separates"), (8.7e-6, "")])
-def test_the_next_step_says_how_often_or_is_not_proposed(difference_m: float, words: str) -> None:
-    verdict = SimpleNamespace(status="unexplained", depends_on=())
-    found = SimpleNamespace(verdict=verdict, proposals=(), next_measurements=(sample(difference_m),), noise=AS_STATED)
-    said = [text for text, _ in after_diagnosis(found, "SESSION") if text.startswith("Measure next")]  # type: ignore[arg-type]
+def steps(
+    repeats: int, one_of: tuple[tuple[str, ...], ...] = (), effects: tuple[str, ...] = ("joint_torsion",)
+) -> list[tuple[str, str]]:
+    verdict = SimpleNamespace(status="unexplained", depends_on=(), one_of=one_of)
+    model = SimpleNamespace(effects=effects)
+    found = SimpleNamespace(verdict=verdict, proposals=(), next_measurements=(sample(repeats),), noise=AS_STATED, model=model)
+    return after_diagnosis(found, "SESSION")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("repeats", "words"), [(9, "load case normal, 9 repeats: it separates"), (0, "")])
+def test_the_next_step_says_how_often_or_is_not_proposed(repeats: int, words: str) -> None:
+    said = [text for text, _ in steps(repeats) if text.startswith("Measure next")]
     assert len(said) == bool(words) and all(words in text for text in said)
+
+
+def test_where_the_data_do_not_tell_poses_that_do_are_the_next_step() -> None:
+    sets = (("joint_backlash", "joint_stiffening"),)
+    assert any(command == "irec plan CELL --to-tell SESSION" for _, command in steps(0, sets))
+    assert not any("--to-tell" in command for _, command in [*steps(0), *steps(0, sets, GEOMETRIC)])
