@@ -55,7 +55,11 @@ def lasts(study: Study, shift: Term) -> float:
     ground = np.concatenate([np.tile(np.eye(3), (len(rows), 1, 1)), usually_beyond(study, rows)], axis=2)
     again = _same_pose(session.pose[rows])
     once, stays, turns = (_beside_poses(mean - step, ground, again) for step in (0.0 * in_base, in_base, with_tool))
-    return float(stays - max(once, turns))
+    # a station that is bumped tilts, too: about where it was bumped, of which the step itself knows nothing
+    lever = scene.p_observed[rows] - scene.p_observed[here]
+    tilts = LASTING.tilt_rad * after[:, None, None] * np.cross(np.eye(3)[None], lever[:, None]).swapaxes(1, 2)
+    tilted = _beside_poses(mean - in_base, np.concatenate([ground, tilts], axis=2), again)
+    return float(np.logaddexp(stays, tilted) - np.log(2.0) - max(once, turns))
 
 
 def _same_pose(pose: IntArray) -> Array:

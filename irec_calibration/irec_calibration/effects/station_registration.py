@@ -31,7 +31,7 @@ class StationRegistration(Effect):
     needs_elastic = True
     needs = ("tracker",)
     in_readings = True
-    usual_in = ("absolute",)
+    usual_in = ("absolute", "loaded")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(

@@ -43,6 +43,11 @@ def station_is_bumped(scene: Scene) -> Array:
     return (scene.stamp > MOMENT)[:, None] * STEP
 
 
+def station_is_bumped_and_tilts(scene: Scene) -> Array:
+    lever = scene.p_observed - scene.p_observed[scene.pose == HIT][0]
+    return (scene.stamp > MOMENT)[:, None] * (STEP + np.cross([1.5e-3, -1e-3, 1e-3], lever))
+
+
 def reference_is_knocked(scene: Scene) -> Array:
     return ((scene.pose == HIT) & (scene.load_case == 0))[:, None] * -STEP
 
@@ -84,6 +89,10 @@ def shift(size: Array) -> Term:
 
 def test_a_bumped_station_shows_in_all_later_readings() -> None:
     assert lasts(study(station_is_bumped), shift(STEP)) > 6.5
+
+
+def test_a_bumped_station_is_recognised_though_it_tilts() -> None:
+    assert lasts(study(station_is_bumped_and_tilts), shift(STEP)) > 20.0
 
 
 def test_wherever_the_station_stands_a_bump_shows_in_later_readings_and_a_knocked_reference_in_none() -> None:

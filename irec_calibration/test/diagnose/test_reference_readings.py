@@ -96,6 +96,14 @@ def test_readings_say_nothing_about_springs_and_about_what_is_small() -> None:
     assert abs(carried(study, small)) < SETTINGS.nats_to_prefer
 
 
+@pytest.mark.parametrize("seed", [6, 7])  # of those whose errors are most like a scale
+def test_links_that_are_off_by_tenths_of_a_millimetre_are_no_scale_of_the_tracker(seed: int) -> None:
+    off = np.random.default_rng(seed).normal(0.0, 4e-4, (6, 3))
+    measured = synthetic.session(poses=30, seed=5, extra=lambda scene: np.einsum("nkij,kj->ni", scene.kin.R_joint, off))
+    study = prepare(measured, start_terms(measured)).to_weigh
+    assert by_readings(study, find_effect("tracker_scale"))[0] < 0.0
+
+
 def slightly_turned_station(scene: Scene) -> Array:
     return np.cross([0.004, 0.0, 0.006], scene.p_observed - STATION)
 
