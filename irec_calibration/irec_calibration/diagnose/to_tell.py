@@ -12,9 +12,9 @@ import numpy as np
 from ..cell import Cell
 from ..effects.of_session import marker_by_controller
 from ..errors import Cancelled, PlanError
+from ..poses.pool import Pool
 from ..session.data import Session
 from ..typing import Array
-from ..poses.pool import Pool
 from .questions import Question, questions
 from .run import Progress, examine
 from .telling import Told, choose
