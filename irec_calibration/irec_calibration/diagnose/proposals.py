@@ -116,6 +116,8 @@ def _formulas(scene: Scene, depends_on: Sequence[str], turned: Sequence[int]) ->
         kind, _, name = variable.partition("_")
         if kind == "tau":
             yield from _of_torque(scene, int(name) - 1, tau)
+            others = [k for k in axes if k != int(name) - 1]  # that give way to the torque of this one: gears on one shaft
+            yield from (f"axis {k + 1}: a * {law}" for k in others for law in (f"{tau}_{name}", f"abs({tau}_{name})"))
         elif kind == "joint":
             yield from _of_angle(scene, int(name), axes, tau)
         elif kind == "force":
@@ -125,6 +127,8 @@ def _formulas(scene: Scene, depends_on: Sequence[str], turned: Sequence[int]) ->
                 yield from _of_force(scene, component)
         elif variable == "stamp":
             yield from (f"base {d}: a * t + b * t**2" for d in XYZ)
+            middle = _from_middle("t", scene.stamp)  # a gear that softens while it is measured, whichever it is
+            yield from (f"axis {k + 1}: {tau} * a * {middle}" for k in np.flatnonzero(scene.driven))
         elif kind in ("temp", "ext"):
             yield from (f"base {d}: a * {variable} + b * {variable}**2" for d in XYZ)
             # about the middle, where the axis has its own spring, which would have no room for less than nothing at 0

@@ -13,6 +13,7 @@ import pytest
 import synthetic
 from irec_calibration.cli import main
 from irec_calibration.diagnose import diagnose
+from irec_calibration.diagnose.improve import improve
 from irec_calibration.diagnose.proposals import _formulas
 from irec_calibration.diagnose.result import Diagnosis
 from irec_calibration.effects.of_session import scene_of
@@ -41,6 +42,30 @@ def test_a_law_that_no_effect_has_is_proposed_as_a_formula_in_its_variables(foun
     best = found.proposals[0]
     assert best.formula.startswith("axis 3: tau * (") and "3 * q_3" in best.formula
     assert best.cv_rms_m < 0.7 * found.cv_rms_m
+
+
+def axes_2_and_3_give_way_to_each_others_torque(scene: Scene) -> Array:
+    angle = np.zeros_like(scene.tau)
+    angle[:, 1], angle[:, 2] = 1.5e-7 * scene.tau[:, 2], 1.5e-7 * scene.tau[:, 1]
+    return np.einsum("nik,nk->ni", scene.kin.jacobian(scene.p_observed), angle)
+
+
+def gear_3_softens_while_it_is_measured(scene: Scene) -> Array:
+    angle = np.zeros_like(scene.tau)
+    angle[:, 2] = 2e-7 * scene.tau[:, 2] * scene.stamp / scene.stamp.max()
+    return np.einsum("nik,nk->ni", scene.kin.jacobian(scene.p_observed), angle)
+
+
+def test_a_gear_that_gives_way_to_the_torque_of_another_axis_is_proposed_and_stands_in() -> None:
+    ladder = improve(synthetic.session(poses=30, seed=8, extra=axes_2_and_3_give_way_to_each_others_torque))
+    laws = {r.formula for r in ladder.rungs if r.formula}
+    assert laws == {"axis 2: a * tau_3", "axis 3: a * tau_2"}
+    assert ladder.rungs[-1].cv_rms_m < 1.2 * ladder.noise_floor_m < 0.6 * ladder.rungs[0].cv_rms_m
+
+
+def test_a_gear_that_softens_in_the_course_of_a_session_is_described() -> None:
+    found = diagnose(synthetic.session(poses=30, seed=8, extra=gear_3_softens_while_it_is_measured))
+    assert any(p.formula.startswith("axis 3: tau * a * (t - ") for p in found.proposals)
 
 
 def test_proposals_are_few_and_the_best_comes_first(found: Diagnosis) -> None:
