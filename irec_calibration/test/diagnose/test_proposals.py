@@ -46,7 +46,7 @@ def test_a_law_that_no_effect_has_is_proposed_as_a_formula_in_its_variables(foun
 
 def axes_2_and_3_give_way_to_each_others_torque(scene: Scene) -> Array:
     angle = np.zeros_like(scene.tau)
-    angle[:, 1], angle[:, 2] = 1.5e-7 * scene.tau[:, 2], 1.5e-7 * scene.tau[:, 1]
+    angle[:, 1], angle[:, 2] = 1.5e-7 * scene.tau[:, 2], -1.5e-7 * scene.tau[:, 1]
     return np.einsum("nik,nk->ni", scene.kin.jacobian(scene.p_observed), angle)
 
 
