@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ..errors import SessionError
 from ..typing import Array, IntArray, Json
 from .data import Marker, Noise, Session, Station
 
+Named = TypeVar("Named", Station, Marker)
 GAP_S = 600.0  # between the end of one session and the begin of the next, where nobody says
 ROUND = 100  # poses of each further session are counted from a multiple of this
 SAME_N = 0.5  # by which nominal forces of one load case may differ, N
@@ -44,8 +45,8 @@ def joined(sessions: Sequence[Session], name: str = "", gap: float = GAP_S) -> S
         for before in sessions[:n]:
             if len(before) == len(other) and np.array_equal(before.q, other.q) and np.array_equal(before.stamp, other.stamp):
                 raise SessionError(f"{_of(other)}: has the same rows as {_of(before)}; its noise would count twice as small")
-    stations, station = _stations(sessions)
-    markers, marker = _markers(sessions)
+    stations, station = _pooled([s.stations for s in sessions], lambda s: s.known)  # an unknown pose may be a new one
+    markers, marker = _pooled([s.markers for s in sessions], lambda _: True)
     cases, case_names, case = _load_cases(sessions)
     pose, stamp = _counted_on(sessions, gap)
     noise, notes = _noise(sessions)
@@ -127,35 +128,23 @@ def _counted_on(sessions: Sequence[Session], gap: float) -> tuple[IntArray, Arra
     return np.concatenate(pose), np.concatenate(stamp)
 
 
-def _stations(sessions: Sequence[Session]) -> tuple[tuple[Station, ...], list[IntArray]]:
-    """All stations, and of each session which of them its own are."""
-    found: list[Station] = []
-    index = []
-    for n, s in enumerate(sessions, start=1):
-        own = []
-        for station in s.stations:
-            if not (station in found and station.known):  # where its pose is unknown it may have been set up anew
-                found.append(replace(station, name=_new_name(station.name, n, [f.name for f in found])))
-                own.append(len(found) - 1)
-            else:
-                own.append(found.index(station))
-        index.append(np.array(own, dtype=np.int64))
-    return tuple(found), index
+def _pooled(every: Sequence[Sequence[Named]], lasts: Callable[[Named], bool]) -> tuple[tuple[Named, ...], list[IntArray]]:
+    """All stations or markers, and of each session which of them its own are.
 
-
-def _markers(sessions: Sequence[Session]) -> tuple[tuple[Marker, ...], list[IntArray]]:
-    """All markers, likewise; one that is stated alike is the same nest."""
-    found: list[Marker] = []
+    Args:
+        every: those of each session. lasts: whether one that is stated alike in a later session is the same one.
+    """
+    found: list[Named] = []
     index = []
-    for n, s in enumerate(sessions, start=1):
-        own = []
-        for marker in s.markers:
-            if marker not in found:
-                found.append(replace(marker, name=_new_name(marker.name, n, [f.name for f in found])))
-                own.append(len(found) - 1)
+    for n, own in enumerate(every, start=1):
+        mine = []
+        for one in own:
+            if one not in found or not lasts(one):
+                found.append(replace(one, name=_new_name(one.name, n, [f.name for f in found])))
+                mine.append(len(found) - 1)
             else:
-                own.append(found.index(marker))
-        index.append(np.array(own, dtype=np.int64))
+                mine.append(found.index(one))
+        index.append(np.array(mine, dtype=np.int64))
     return tuple(found), index
 
 
