@@ -87,7 +87,10 @@ def _check_shared(first: Session, other: Session) -> None:
         ("coupled joints", first.passive, other.passive),
         ("external axes", sorted(first.ext), sorted(other.ext)),
         ("inertials", first.inertials, other.inertials),
-        ("mounting axis of the force sensor", *(s.meta.get("sensor_axis_in_tool", (0.0, 0.0, 1.0)) for s in (first, other))),
+        (
+            "mounting axis of the force sensor",
+            *(tuple(s.meta.get("sensor_axis_in_tool", (0.0, 0.0, 1.0))) for s in (first, other)),
+        ),
         ("a tracker", *(s.meta.get("without_tracker") is not True for s in (first, other))),
     )
     for what, one, two in same:

@@ -106,6 +106,12 @@ def test_what_one_session_can_not_hold_is_refused(changes, words) -> None:
         joined([session(3), more(**changes)])
 
 
+def test_what_one_session_states_as_the_other_takes_it_to_be_is_shared() -> None:
+    second = more()
+    both = joined([session(3), replace(second, meta={**second.meta, "sensor_axis_in_tool": [0, 0, 1]})])
+    assert len(both.poses) == 7
+
+
 def test_a_session_joined_with_itself_is_refused() -> None:
     with pytest.raises(SessionError, match="same rows"):
         joined([session(3), session(3)])
