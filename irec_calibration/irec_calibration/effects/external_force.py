@@ -31,7 +31,7 @@ class ExternalForce(Effect):
         "at the reference and under load: J C J^T f_0. Parts of the family: constant in base_link or in tool0; drawn towards a "
         "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); both of these at the wrist, "
         "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
-        "wrist axis; and a torque, since it does not pull at the TCP. "
+        "wrist axis, or with the first where it comes from the cell; and a torque, since it does not pull at the TCP. "
         "Missing, the residual is there whatever the process force and depends on the pose only. In a loaded session a force "
         "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload, or "
         "at the wrist a forearm, of another mass."
@@ -57,7 +57,7 @@ class ExternalForce(Effect):
             *(pull(f"f_{a}", "constant") for a in AXES),
             *(pull(f"f_{a}_tool", "with the tool") for a in AXES),
             stiffness("k", "towards a point"),
-            *(pull(f"f_{a}_{t}{k + 1}", f"with axis {k + 1}") for k in _wrist(scene) for t in ("sin", "cos") for a in AXES),
+            *(pull(f"f_{a}_{t}{k + 1}", f"with axis {k + 1}") for k in _turning(scene) for t in ("sin", "cos") for a in AXES),
             *(pull(f"f_{d}_forearm", "with the forearm") for d in FOREARM),
             *(
                 Parameter(f"m_{a}_tool", "N m", 20.0 * AT_FLANGE, plausible=(-largest, largest), group="beside the TCP")
@@ -108,7 +108,7 @@ class ExternalForce(Effect):
         return wrench[:, :3], wrench[:, 3:]
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
-        return _Pull(theta, _wrist(scene), _forearm(scene), _wrist_centre(scene))
+        return _Pull(theta, _turning(scene), _forearm(scene), _wrist_centre(scene))
 
 
 def _wrenches(scene: Scene) -> Array:
@@ -123,7 +123,7 @@ def _wrenches(scene: Scene) -> Array:
 def _wrenches_anew(scene: Scene) -> Array:
     in_tool = np.swapaxes(scene.kin.R_tool, 1, 2)  # of each unit force in base_link
     none, unit = np.zeros_like(in_tool), np.tile(np.eye(3), (len(scene), 1, 1))
-    by_wrist = [in_tool * t(scene.q[:, k])[:, None, None] for k in _wrist(scene) for t in (np.sin, np.cos)]
+    by_wrist = [in_tool * t(scene.q[:, k])[:, None, None] for k in _turning(scene) for t in (np.sin, np.cos)]
     k = _forearm(scene)
     frame = np.concatenate([scene.kin.axis[:, k, :, None], np.swapaxes(scene.kin.virtual_axis[:, k], 1, 2)], axis=2)
     p_wrist = scene.kin.origin[:, _wrist_centre(scene)]
@@ -149,6 +149,12 @@ def _wrist(scene: Scene) -> list[int]:
     return [k for k in range(scene.n_joints) if scene.driven[k]][-WRIST_AXES:]
 
 
+def _turning(scene: Scene) -> list[int]:
+    """Joints with whose angle a pull may change: the first, where a hose comes from the cell, and those of the wrist."""
+    wrist = _wrist(scene)
+    return wrist if wrist[0] == 0 or scene.kin.is_prismatic[0] else [0, *wrist]
+
+
 def _forearm(scene: Scene) -> int:
     """The joint that moves the forearm, the last one before the wrist."""
     return max(_wrist(scene)[0] - 1, 0)
@@ -161,10 +167,10 @@ def _wrist_centre(scene: Scene) -> int:
 
 
 class _Pull(Pull):
-    def __init__(self, theta: Array, wrist: list[int], forearm: int, centre: int) -> None:
+    def __init__(self, theta: Array, turning: list[int], forearm: int, centre: int) -> None:
         self._constant, self._in_tool, self._k = theta[:3], theta[3:6], float(theta[6])
-        end = 7 + 6 * len(wrist)
-        self._by_wrist, self._wrist = theta[7:end].reshape(-1, 3), wrist
+        end = 7 + 6 * len(turning)
+        self._by_angle, self._turning = theta[7:end].reshape(-1, 3), turning
         self._by_forearm, self._torque_in_tool = theta[end : end + 3], theta[end + 3 : end + 6]
         self._at_wrist, self._k_wrist = theta[end + 6 : end + 9], float(theta[end + 9])
         self._has_forearm, self._has_wrist = bool(self._by_forearm.any()), bool(self._at_wrist.any() or self._k_wrist)
@@ -172,8 +178,8 @@ class _Pull(Pull):
         self.columns = tuple(f"joint_{k + 1}{side}" for k in joints for side in ("", "a", "b"))
 
     def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
-        weights = [w for k in self._wrist for w in (math.sin(tick.q[k]), math.cos(tick.q[k]))]
-        out: Array = self._constant + R_tool @ self._in_tool - self._k * p_tcp + np.array(weights) @ self._by_wrist
+        weights = [w for k in self._turning for w in (math.sin(tick.q[k]), math.cos(tick.q[k]))]
+        out: Array = self._constant + R_tool @ self._in_tool - self._k * p_tcp + np.array(weights) @ self._by_angle
         if self._has_forearm:
             out += tick.directions[:, :3] @ self._by_forearm
         if self._has_wrist:
