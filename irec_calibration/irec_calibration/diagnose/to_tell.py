@@ -126,7 +126,8 @@ def in_words(told: Told, label: Callable[[str], str]) -> list[str]:
         enough = next((k for k in range(1, len(told.chosen) + 1) if told.chance(number, k) >= SURE), 0)
         chance = told.chance(number)
         begin = f"the first {enough} of these poses tell" if enough else f"these poses tell in {100 * chance:.0f} of 100 cases"
-        more = "" if chance >= SURE else "; more poses (-n) make it surer" if chance >= HARDLY else "; no pose of this tooling tells much"
+        unsure = "; more poses (-n) make it surer" if chance >= HARDLY else "; no pose of this tooling tells much"
+        more = "" if chance >= SURE else unsure
         nats, lacks = told.nats[number, -1], question.lacks
         sides = "" if question.is_presence else f" and {nats[1]:.1f} of {lacks[1]:.1f}"
         out.append(f"{what}: {begin} (evidence {nats[0]:.1f} of {lacks[0]:.1f}{sides} nats){more}")
