@@ -44,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--along-surface", action="store_true", help="distances along the surface instead of straight")
     parser.add_argument("--pool", type=int, help=f"candidates (default: {POOL}; with --to-tell {POOL_TO_TELL})")
     parser.add_argument("--seed", type=int, default=1, help="of the random draws (default: 1)")
-    parser.add_argument("-o", "--output", help="pose file (default: that of the cell file; with --to-tell next_poses.yaml beside it)")
+    parser.add_argument("-o", "--output", help="pose file (default: that of the cell; with --to-tell next_poses.yaml beside it)")
     parser.add_argument("--picture", help="PNG of surface, pool and poses (default: beside the pose file)")
     parser.add_argument("--json", action="store_true", help="machine-readable figures on standard output")
 
