@@ -99,7 +99,9 @@ def usually_beyond(study: Study, rows: IntArray) -> Array:
     """What absolute readings have beyond the controller's positions, in standard deviations of each cause, (rows, 3, p), m."""
     usual, scene = LASTING, study.observation.scene
     p, q, J = scene.p_observed[rows], scene.q[rows], scene.J[rows]
-    turn = np.cross(np.eye(3)[None], p[:, None]).swapaxes(1, 2)
+    all_turn = np.cross(np.eye(3)[None], p[:, None]).swapaxes(1, 2)
+    station = scene.station[rows]
+    turn = np.concatenate([all_turn * (station == s)[:, None, None] for s in np.unique(station)], axis=2)  # each by itself
     course = (scene.stamp[rows] - scene.stamp[rows].mean()) / max(float(np.ptp(scene.stamp[rows])), 1e-9)
     # whether a base that rides is seen from where it stands or from the cell, and how straight its way is
     rides = [(v[rows] - v[rows].mean())[:, None, None] * np.eye(3) for v in scene.ext.values() if np.isfinite(v[rows]).all()]

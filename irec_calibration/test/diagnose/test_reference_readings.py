@@ -104,6 +104,18 @@ def test_links_that_are_off_by_tenths_of_a_millimetre_are_no_scale_of_the_tracke
     assert by_readings(study, find_effect("tracker_scale"))[0] < 0.0
 
 
+def test_two_stations_that_are_turned_by_a_tenth_of_a_milliradian_are_registered() -> None:
+    """As well as anybody registers one; where nothing else scatters, their difference is plain to see."""
+    one = synthetic.session(poses=40, seed=5)
+    turned = np.array([[1.0, -1e-4, 2e-4], [1e-4, 1.0, -1e-4], [-2e-4, 1e-4, 1.0]])
+    second = one.pose > 20
+    p = np.where(second[:, None], one.p_marker_in_station @ turned.T, one.p_marker_in_station)
+    stations = (*one.stations, replace(one.stations[0], name="B"))
+    measured = replace(one, p_marker_in_station=p, station=second.astype(np.int64), stations=stations)
+    study = prepare(measured, start_terms(measured)).to_weigh
+    assert by_readings(study, find_effect("station_registration"))[0] < 0.0
+
+
 def slightly_turned_station(scene: Scene) -> Array:
     return np.cross([0.004, 0.0, 0.006], scene.p_observed - STATION)
 
