@@ -150,9 +150,10 @@ def _wrist(scene: Scene) -> list[int]:
 
 
 def _turning(scene: Scene) -> list[int]:
-    """Joints with whose angle a pull may change: the first, where a hose comes from the cell, and those of the wrist."""
+    """Joints with whose angle a pull may change: those of the wrist and, in a loaded session, the first, where a hose comes from
+    the cell (in an absolute one an arm that swings about has too much else that goes with it)."""
     wrist = _wrist(scene)
-    return wrist if wrist[0] == 0 or scene.kin.is_prismatic[0] else [0, *wrist]
+    return wrist if scene.kind == "absolute" or wrist[0] == 0 or scene.kin.is_prismatic[0] else [0, *wrist]
 
 
 def _forearm(scene: Scene) -> int:

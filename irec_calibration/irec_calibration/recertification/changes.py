@@ -103,7 +103,7 @@ def _ageing(terms: Sequence[Term], scene: Scene) -> list[tuple[Effect, list[tupl
 
 def _on_grids(effect: Effect, scene: Scene) -> Iterator[dict[str, Estimate]]:
     grids = [p for p in effect.parameters(scene) if p.grid]
-    for values in product(*(p.grid for p in grids)):
+    for values in product(*((p.start,) if p.kinds else p.grid for p in grids)):  # of kinds the plain one
         yield {p.name: Estimate(v) for p, v in zip(grids, values, strict=True)}
 
 
