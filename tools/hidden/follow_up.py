@@ -97,7 +97,7 @@ def main() -> int:
         if "error" in told:
             print(f"{name}: no poses planned: {told['error']}")
             continue
-        for one in told.get("to_tell", [{"names": [args.by], "chance": float("nan"), "nats": [0, 0], "lacks": [0, 0]}]):
+        for one in told.get("to_tell", ()):
             least, needed = min(one["nats"]), max(one["lacks"])
             promised.append([name, "/".join(one["names"]), f"{one['chance']:.2f}", f"{least:.1f}", f"{needed:.1f}"])
             figures = f"{100 * one['chance']:.0f} of 100 ({least:.1f} of {needed:.1f} nats)"

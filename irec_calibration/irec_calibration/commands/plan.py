@@ -90,6 +90,8 @@ def _plan(args: argparse.Namespace, cell: Cell) -> tuple[Plan, Told | None]:
             turn=turn_for(n) if args.turn is None else args.turn,
         )
         return plan, None
+    if args.method != "cover" or args.d_max or args.turn is not None or args.along_surface:
+        raise IrecError("--to-tell chooses poses by itself; give no --method, --d-max, --turn or --along-surface with it")
     n = POSES_TO_TELL if args.n is None else args.n
     session = read_session(args.to_tell)
     check_plausible(session)

@@ -247,7 +247,10 @@ def _plausible(term: Term, study: Study) -> bool:
 def _next(assessment: Assessment) -> tuple[Measurement, ...]:
     """Samples that answer what the diagnosis leaves open: of each name against its likeliest rival, then of axes; else whether
     the likeliest effect that lacks evidence is there."""
-    asked = questions(assessment)
+    try:
+        asked = questions(assessment)
+    except SolveError:
+        return ()
     likeliest: dict[str, Question] = {}
     for question in asked:
         likeliest.setdefault("" if question.is_presence else question.names[0], question)

@@ -13,7 +13,7 @@ measured: P shrinks, and r by what a refit would make up for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,27 +81,20 @@ class Side:
         self.P = self.P - K @ J @ self.P
 
 
-def choose(
-    questions: Sequence[Question], imagined: Session, n: int, ratio: float = 1.0, check: Callable[[], None] = lambda: None
-) -> Told:
+def choose(questions: Sequence[Question], imagined: Session, n: int, ratio: float = 1.0) -> Told:
     """Choose poses that answer questions, one by one.
 
     Args:
         imagined: poses to choose from, row by row, all with the same load cases in the same order.
         n: number of poses.
         ratio: of the noise of a sample to what the session states.
-        check: raises where the work was cancelled.
     """
     observation = observe(imagined)
-    sides = []
-    for question in questions:
-        check()
-        sides.append(_sides(question, observation, ratio))
+    sides = [_sides(question, observation, ratio) for question in questions]
     chosen: list[int] = []
     nats = np.zeros((len(questions), n, 2))
     scale = SETTINGS.nats_to_name
     for k in range(n):
-        check()
         use = np.zeros(len(imagined.poses))
         for question, pair in zip(questions, sides, strict=True):
             asked = pair[:1] if question.is_presence else pair

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..cell import Cell
 from ..effects.of_session import marker_by_controller
-from ..errors import Cancelled, PlanError
+from ..errors import PlanError
 from ..poses.pool import Pool
 from ..session.data import Session
 from ..typing import Array
@@ -33,16 +33,16 @@ class Open:
     ratio: float
 
 
-def left_open(session: Session, *, progress: Progress | None = None, cancelled: Callable[[], bool] | None = None) -> Open:
+def left_open(session: Session, progress: Progress | None = None) -> Open:
     """Diagnose a session for what it does not tell.
 
     Raises:
         PlanError: it is not a loaded one, or nothing is in question.
-        SolveError, Cancelled: as of `diagnose`.
+        SolveError: as of `diagnose`.
     """
-    if session.kind != "loaded" or session.contact is not None:
+    if session.kind != "loaded":
         raise PlanError(f"{session.path or session.name}: is {session.kind}: poses on a tooling tell about loaded sessions only")
-    _, assessment, _ = examine(session, progress=progress, cancelled=cancelled)
+    _, assessment, _ = examine(session, progress=progress)
     asked = questions(assessment)
     if not asked:
         raise PlanError(
@@ -52,11 +52,11 @@ def left_open(session: Session, *, progress: Progress | None = None, cancelled: 
     return Open(session, asked, max(assessment.noise.ratio, 1e-3))
 
 
-def chosen_to_tell(asked: Open, cell: Cell, pool: Pool, n: int, cancelled: Callable[[], bool] | None = None) -> Told:
+def chosen_to_tell(asked: Open, cell: Cell, pool: Pool, n: int) -> Told:
     """The poses of a pool that tell best.
 
     Raises:
-        PlanError: the session is of another robot than the cell's. Cancelled: as asked for.
+        PlanError: the session is of another robot than the cell's.
     """
     session = asked.session
     if session.serial and cell.serial and session.serial != cell.serial:
@@ -66,12 +66,7 @@ def chosen_to_tell(asked: Open, cell: Cell, pool: Pool, n: int, cancelled: Calla
             f"{session.path or session.name}: was measured with another robot description (SHA-256 {session.robot.sha256[:12]}..)"
             f" than {cell.path} has ({cell.robot.sha256[:12]}..)"
         )
-
-    def check() -> None:
-        if cancelled is not None and cancelled():
-            raise Cancelled("planning was cancelled")
-
-    return choose(asked.questions, imagined(session, cell, pool), n, asked.ratio, check)
+    return choose(asked.questions, imagined(session, cell, pool), n, asked.ratio)
 
 
 def imagined(session: Session, cell: Cell, pool: Pool) -> Session:

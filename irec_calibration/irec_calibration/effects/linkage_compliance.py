@@ -76,9 +76,10 @@ class LinkageCompliance(Effect):
 
 
 def _linkages(scene: Scene) -> list[tuple[int, list[int]]]:
-    """Passive joints and the drives that each follows anywhere."""
+    """Passive joints and the drives that each follows anywhere; of those that turn."""
     if scene.arm.coupling is None:
         return []
     follows = np.abs(scene.arm.coupling).max(axis=0) > 0.0
-    passive = np.flatnonzero(~scene.driven)
-    return [(int(p), [int(d) for d in np.flatnonzero(follows[p]) if scene.driven[d]]) for p in passive]
+    turns = ~scene.kin.is_prismatic
+    passive = np.flatnonzero(~scene.driven & turns)
+    return [(int(p), [int(d) for d in np.flatnonzero(follows[p] & scene.driven & turns)]) for p in passive]

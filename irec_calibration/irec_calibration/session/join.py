@@ -163,12 +163,17 @@ def _load_cases(
     """Nominal forces and names of all load cases, and of each session the new number of each of its own, by the old one."""
     forces: dict[int, tuple[float, float, float]] = dict(sessions[0].load_cases)
     names: dict[int, str] = dict(sessions[0].load_case_names)
-    highest = max([int(sessions[0].load_case.max()), *forces])
+    highest = max(j for s in sessions for j in (int(s.load_case.max()), *s.load_cases))
     tables = [np.arange(int(sessions[0].load_case.max()) + 1)]
     for n, s in enumerate(sessions[1:], start=2):
         table = np.arange(int(s.load_case.max()) + 1)
-        for j in np.unique(s.load_case).tolist():
-            if j == 0 or _alike(forces.get(j), s.load_cases.get(j)):
+        taken: set[int] = set()
+        for j in np.unique(s.load_case[s.load_case > 0]).tolist():
+            mine = s.load_cases.get(j)
+            known = [i for i in (j, *forces) if i not in taken and _alike(forces.get(i), mine)]
+            if known:
+                table[j] = known[0]
+                taken.add(known[0])
                 continue
             highest += 1
             table[j] = highest
@@ -180,6 +185,7 @@ def _load_cases(
 
 
 def _alike(one: tuple[float, ...] | None, other: tuple[float, ...] | None) -> bool:
+    """Whether nominal forces are the same, or neither is stated."""
     if one is None or other is None:
         return one is other
     return float(np.abs(np.subtract(one, other)).max()) <= SAME_N

@@ -85,6 +85,23 @@ def test_a_load_case_of_other_force_has_a_number_of_its_own() -> None:
     assert (both.load_case[18:] == 6).sum() == 4 and not (both.load_case[18:] == 3).any()
 
 
+def test_a_load_case_that_a_later_session_numbers_otherwise_is_the_one_of_its_force(tmp_path) -> None:
+    first = session(3)
+    swapped = {1: 1, 2: 3, 3: 2, 4: 4, 5: 5}
+    cases = {new: first.load_cases[old] for old, new in swapped.items()}
+    second = more()
+    other = replace(second, load_cases=cases, load_case=np.array([swapped.get(j, 0) for j in second.load_case.tolist()]))
+    both = joined([first, other])
+    assert both.load_cases == first.load_cases and both.load_case[18:].tolist() == second.load_case.tolist()
+    assert len(read_session(write_table(both, tmp_path / "both"))) == len(both)
+
+
+def test_a_third_session_has_the_load_cases_that_the_second_brought() -> None:
+    half = {**session(1).load_cases, 3: (-140.0, 0.0, -550.0)}
+    both = joined([session(3), more(load_cases=half), more(load_cases=half, stamp=more().stamp + 1.0)])
+    assert sorted(set(both.load_case.tolist())) == [0, 1, 2, 3, 4, 5, 6]
+
+
 def test_noise_that_is_stated_otherwise_is_the_mean_of_squares_and_is_said() -> None:
     second = more()
     both = joined([session(4), replace(second, noise=replace(second.noise, force_n=7.0))])
