@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -72,9 +74,32 @@ def test_poses_planned_for_another_robot_are_refused(first: Path, tmp_path, caps
 def test_a_session_that_leaves_nothing_open_gets_no_plan(tmp_path, capsys) -> None:
     clean = tmp_path / "clean"
     assert irec_sim(["session", "--poses", "31", "--seed", "11", "-o", str(clean)]) == 0
-    code = irec(["plan", str(CELL), "--to-tell", str(clean), "-n", "2", "-o", str(tmp_path / "p.yaml")])
-    said = capsys.readouterr()
-    assert (code == 2 and "leaves nothing open" in said.err) or "whether" in said.out  # an effect that may be there is asked for
+    assert irec(["plan", str(CELL), "--to-tell", str(clean), "-n", "2", "-o", str(tmp_path / "p.yaml")]) == 2
+    assert "leaves nothing open" in capsys.readouterr().err and not (tmp_path / "p.yaml").exists()
+
+
+def test_options_of_other_plans_are_refused_beside_it(tmp_path, capsys) -> None:
+    assert irec(["plan", str(CELL), "--to-tell", "S", "--method", "random", "-o", str(tmp_path / "p.yaml")]) == 2
+    assert "--to-tell chooses poses by itself" in capsys.readouterr().err
+
+
+def test_promises_are_held_against_what_was_said(tmp_path) -> None:
+    new = tmp_path / "new"
+    for folder in (new, tmp_path / "new-truth", tmp_path / "new-said" / "a", tmp_path / "new-said" / "b"):
+        folder.mkdir(parents=True)
+    (new / "promised.csv").write_text(
+        "name,question,chance,nats,needed\na,creep/joint_hysteresis,0.9,9,1\nb,creep/joint_hysteresis,0.1,1,9\n"
+    )
+    (tmp_path / "new-truth" / "matrix.csv").write_text("name,effects,background\na,joint_hysteresis,\nb,creep,\n")
+    for name, effects, one_of in (("a", ["creep"], []), ("b", [], [["creep", "joint_hysteresis"]])):
+        said = {"verdict": {"effects": effects, "one_of": one_of}}
+        (tmp_path / "new-said" / name / "diagnosis.json").write_text(json.dumps(said))
+    run = [sys.executable, str(CELL.parents[2] / "tools" / "hidden" / "promised.py"), str(new)]
+    printed = subprocess.run(run, capture_output=True, text=True, check=True, timeout=60).stdout
+    assert (
+        "80 to 100 of 100 cases: 1 of 1 answered, 1 wrong" in printed
+        and "0 to 30 of 100 cases: 0 of 1 answered, 0 wrong" in printed
+    )
 
 
 def test_the_simulator_measures_at_the_poses_of_a_file(planned: Path) -> None:

@@ -5,7 +5,7 @@
 
 For each loaded session of a matrix whose verdict (in OUT-SAID, as run.py leaves it) has a `one_of`, poses are planned by `irec
 plan`, which never sees the truth; the hidden robot is measured there, and `irec join` makes one session of both. NEW is a matrix
-of these sessions and NEW-truth their truth, for run.py and score.py. NEW/promised.csv: what the plan expected.
+of these sessions and NEW-truth their truth, for run.py, score.py and promised.py. NEW/promised.csv: what the plan expected.
 """
 
 from __future__ import annotations
