@@ -23,8 +23,8 @@ def joined(sessions: Sequence[Session], name: str = "", gap: float = GAP_S) -> S
     """One session with the rows of all, in their order.
 
     Poses of the second session and of those after it are counted on from the next hundred, their stamps from `gap` after the end
-    of the one before. A station, marker or load case is the same one where name and stated values are; where only the name is, it
-    gets a name of its own (`A (2)`). In an absolute session a station whose pose is unknown is another one each time. Noise that
+    of the one before. A station or marker is the same one where name and stated values are, a load case where its nominal force
+    is; where only the name is, it gets a name of its own (`A (2)`). In an absolute session a station whose pose is unknown is another one each time. Noise that
     is stated differently becomes its root mean square over rows.
 
     Args:
@@ -96,8 +96,6 @@ def _check_shared(first: Session, other: Session) -> None:
     for what, one, two in same:
         if one != two:
             raise SessionError(f"{_of(other)}: {what} is {two}, of {_of(first)} {one}; sessions that are joined share it")
-    if first.contact is not None or other.contact is not None:
-        raise SessionError(f"{_of(first)}: is read without its tracker; join the sessions as they were recorded")
 
 
 def _payload(session: Session) -> tuple[float, ...] | None:
