@@ -23,9 +23,9 @@ def joined(sessions: Sequence[Session], name: str = "", gap: float = GAP_S) -> S
     """One session with the rows of all, in their order.
 
     Poses of the second session and of those after it are counted on from the next hundred, their stamps from `gap` after the end
-    of the one before. A station or marker is the same one where name and stated values are, a load case where its nominal force is;
-    where only the name is, it gets a name of its own (`A (2)`). In an absolute session a station whose pose is unknown is another
-    one each time. Noise that is stated differently becomes its root mean square over rows.
+    of the one before. A station or marker is the same one where name and stated values are, a load case where its nominal force
+    is; where only the name is, it gets a name of its own (`A (2)`). In an absolute session a station whose pose is unknown is
+    another one each time. Noise that is stated differently becomes its root mean square over rows.
 
     Args:
         sessions: two or more, of one kind and robot.
