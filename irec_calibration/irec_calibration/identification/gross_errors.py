@@ -44,11 +44,17 @@ def wrong_joints(observation: Observation) -> list[BadRow]:
     for mine in _grouped(index):
         middle[mine] = np.median(q[mine], axis=0)
     off = np.abs(q - middle).max(axis=1)
-    limit = max(OUTLIERS.elsewhere_rad, OUTLIERS.elsewhere_usual * float(np.median(off)))
+    limit = np.full(len(q), max(OUTLIERS.elsewhere_rad, OUTLIERS.elsewhere_usual * float(np.median(off))))
+    for case in np.unique(session.load_case):
+        of_case = session.load_case == case
+        usual = float(np.median(off[of_case]))
+        if usual > limit[of_case][0]:  # so it was measured: a tool that is aligned at contact stands otherwise in references
+            spread = 1.4826 * float(np.median(np.abs(off[of_case] - usual)))
+            limit[of_case] = usual + OUTLIERS.elsewhere_sigmas * spread
     found = []
     for row in np.flatnonzero(off > limit):
         group = np.flatnonzero(index == index[row])
-        if (off[group] > limit).sum() * 2 > len(group):
+        if (off[group] > limit[group]).sum() * 2 > len(group):
             continue  # the pose has no angles of its own
         away = np.abs(q - q[row]).max(axis=1)
         away[index == index[row]] = np.inf

@@ -124,6 +124,10 @@ class OutlierThresholds(Thresholds):
         0.1, "rad", "of joint angles from those of their pose at least", "near a singularity a wrist turns by 0.02 within a pose",
     )  # fmt: skip
     elsewhere_usual: float = threshold(20.0, "times what is usual", "of joint angles from those of their pose at least", "chosen")
+    elsewhere_sigmas: float = threshold(
+        6.0, "robust standard deviations", "from the usual distance of a load case, where that is far from the pose's other rows",
+        "a tool that is aligned as it comes to rest stands otherwise in all references",
+    )  # fmt: skip
     same_joints_rad: float = threshold(2e-3, "rad", "within which joint angles are taken for those of another pose", "chosen")
     nest_m: float = threshold(0.02, "m", "further off, another nest is likelier than a knock", "chosen: the size of a reflector")
 

@@ -17,6 +17,7 @@ ALONG_FORCE = 0.1  # work of the force over what it would be if each deflection 
 RESIDUAL = 0.8  # of the deflection, beside springs and settling fitted to the session: forces of other rows leave 0.86
 ABOVE_NOISE = 5.0  # of the deflection over what is stated as noise, for its sign and size to be judged
 WITHIN_POSE = 0.05  # rad or m; joints between a reference and its load cases
+TCP_WITHIN_POSE, TURNED_AT_CONTACT = 0.05, 0.5  # m, rad or m; the same where the tool is turned about the TCP as it is pressed on
 LARGEST_FORCE, LARGEST_ARM = 1e5, 5.0  # N; m, torque over force
 FORCE_NOISE = 0.3  # of the force
 FEW = 50  # rows that tell which alteration would mend it
@@ -69,10 +70,12 @@ def deflection(session: Session) -> Iterator[str]:
     if len(rows) < 3:
         return
     within = np.median(np.abs(session.q[rows] - session.q[reference[rows]]).max(axis=1))
-    if within > WITHIN_POSE:
+    away = np.median(np.linalg.norm((session.p_tcp_in_base[rows] - session.p_tcp_in_base[reference[rows]]), axis=1))
+    most = TURNED_AT_CONTACT if away <= TCP_WITHIN_POSE else WITHIN_POSE  # a tool may be aligned when it comes to rest
+    if within > most:
         yield (
-            f"joints differ by {within:.3g} rad or m (median) between a reference and its load cases, at most {WITHIN_POSE} is "
-            "expected: do the rows of a pose belong together?"
+            f"joints differ by {within:.3g} rad or m (median) between a reference and its load cases, at most {most} is expected "
+            f"where the TCP moves by {away:.3g} m: do the rows of a pose belong together?"
         )
         return
     R = np.stack([s.R_in_base for s in session.stations])[session.station]

@@ -76,6 +76,20 @@ def test_a_reference_with_the_joint_angles_of_another_pose_spoils_its_load_cases
     assert bad.kind == "joints" and bad.rows == tuple(range(19, 24))
 
 
+@pytest.fixture(scope="module")
+def aligned() -> Session:
+    return synthetic.session(seed=1, aligned=0.18)
+
+
+def test_a_tool_that_is_aligned_at_contact_stands_otherwise_in_all_references_and_nothing_is_wrong(aligned):
+    assert find(observe(aligned), default_terms(aligned)) == ()
+
+
+def test_beside_a_tool_that_is_aligned_at_contact_the_joint_angles_of_another_pose_are_recognised(aligned):
+    bad = only(changed(aligned, "q", 18, aligned.q[50]))
+    assert bad.kind == "joints" and bad.rows == tuple(range(19, 24))
+
+
 def test_a_bumped_reference_is_told_from_a_jump_in_a_load_case(loaded):
     bad = only(moved(loaded, 18, (1e-4, -1e-4, 1.4e-4)))
     assert bad.kind == "moved" and bad.rows == tuple(range(19, 24)) and "reference" in bad.sentence

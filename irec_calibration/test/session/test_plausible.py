@@ -93,6 +93,10 @@ def test_a_clean_session_raises_no_doubt():
     assert doubts(LOADED) == () and doubts(ABSOLUTE) == ()
 
 
+def test_a_tool_that_is_aligned_at_contact_raises_no_doubt():
+    assert doubts(synthetic.session(seed=1, aligned=0.18)) == ()
+
+
 @pytest.mark.parametrize("name", ALTERED)
 def test_a_gross_alteration_is_refused_with_its_reason(name):
     alter, reason = ALTERED[name]
