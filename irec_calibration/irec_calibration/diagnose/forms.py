@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from ..effects import Cause, Effect
 from ..effects import Family as Alike
+from ..effects.joint_ripple import FEWEST
 from ..effects.scene import Scene
 from ..model import Term
 from .family import Structure
@@ -36,7 +37,7 @@ class Forms:
         law = structure.law_of is not None and structure.law_of in self.axes
         law = law or (structure.softer_by_angle is not None and structure.softer_by_angle in self.turns)
         law = law or (structure.by_step and structure.axis in self.steps)
-        law = law or (structure.axis in self.angles and _by_own_angle(structure))
+        law = law or _by_own_angle(structure) in self.angles
         return law or (self.drifts and structure.is_drift) or (self.tilts and structure.is_tilt)
 
 
@@ -54,10 +55,14 @@ def forms_of(term: Term, scene: Scene) -> Forms:
     return Forms(axes if law else none, turns=turns, steps=steps(term, scene), angles=angles)
 
 
-def _by_own_angle(structure: Structure) -> bool:
-    """Whether a structure turns one axis by a law of its own angle, whatever the load."""
+def _by_own_angle(structure: Structure) -> int | None:
+    """The axis, counted from 0, that a structure turns by a smooth law of its own angle, whatever the load; None: it does not."""
+    if structure.ripple is not None:  # one that hardly repeats is smooth
+        joint, often = structure.ripple
+        return joint if often < FEWEST else None
     plain = structure.law_of is None and structure.softer_by_angle is None and not structure.by_step
-    return plain and structure.axis is not None and structure.variables == (f"joint_{structure.axis + 1}",)
+    own = plain and structure.axis is not None and structure.variables == (f"joint_{structure.axis + 1}",)
+    return structure.axis if own else None
 
 
 def follows_step(effect: Effect, scene: Scene) -> bool:

@@ -20,13 +20,15 @@ from ..effects.live import Refused
 from ..effects.scene import Scene
 from ..errors import SolveError
 from ..identification.validation import predicted_from_others
-from ..model import Term
+from ..model import Term, displacements
 from ..session.data import Session
 from ..typing import Array, IntArray
 from .assessment import Assessment
 from .candidates import block_columns
+from .directions import follows_course
 from .evidence import Bench, Block
 from .held_out import Validated, validated
+from .law_forms import likeliest
 from .level import family_in_view
 from .proposals import weighed
 from .remainder import grow
@@ -34,11 +36,7 @@ from .settings import SETTINGS, Settings
 from .stand_in import StandIn
 from .study import Study, study_of
 
-MOST = 3  # laws in a model
-TRIED = 3  # of the likeliest, each time
 NO_LAW = {"wandering"}  # evidence of what goes by itself
-WORTH = 0.01  # of the error on held-out poses, by which it has to fall
-MOST_OFTEN = 3.0  # per turn of an axis that nothing presses on
 REPEATS = re.compile(r"([\d.]+) \* q_")
 BISECTIONS = 4  # of the poses, at most: into 16 regions
 FEWEST_IN_REGION = 2  # poses
@@ -59,7 +57,7 @@ def laws(
     if not set(assessment.evidence) - NO_LAW:
         return ()
     variables: Sequence[str] = assessment.depends_on
-    while len(out) < MOST:
+    while len(out) < settings.laws.most:
         found = _best(session, before, variables, check, settings)
         if found is None:
             break
@@ -77,31 +75,55 @@ def _best(
     if not remainder.structures:
         return None
     variables = list(dict.fromkeys([*variables, *(v for p in remainder.structures for v in p.structure.variables)]))
-    could = [one for one in weighed(study, remainder, variables, check, settings) if _may(one[0], study.ready)]
+    could = weighed(study, remainder, variables, check, settings)
+    if study.ready.kind == "loaded":
+        could += likeliest(study, check, settings)
+    could = sorted((one for one in could if _may(one[0], study.ready, settings)), key=lambda one: -one[2])
+    in_course = [p.log_evidence for p in remainder.structures if any(map(follows_course, p.structure.variables))]
+    least = settings.laws.beside_course * max(in_course, default=0.0)
     present = {t.effect.id for t in before.study.terms}
-    for law, block, nats in could[:TRIED]:
+    refitted = 0
+    for law, block, nats in could:
         check()
+        if nats < least and not {"time", "temperature"} & set(law.needs):
+            continue
         plain = before.study  # where what stands out counts for nothing
         columns = replace(block, A=block_columns(plain, law, {})[0].A)
-        if not helps_elsewhere(plain, plain.bench, plain.base + columns, settings.held_out_sigmas):
+        if not helps_elsewhere(plain, plain.bench, plain.base + columns, settings):
             continue
+        if refitted == settings.laws.refitted:
+            break
+        refitted += 1
         effect = FormulaEffect(_id(law.formula, present), law.formula)
         try:
             made = validated(session, (*before.study.terms, Term(effect)))
         except SolveError:
             continue
-        if made.study.fit.rms >= plain.fit.rms or made.held_out.rms_m > (1.0 - WORTH) * before.held_out.rms_m:
+        if made.study.fit.rms >= plain.fit.rms or made.held_out.rms_m > (1.0 - settings.laws.worth) * before.held_out.rms_m:
+            continue
+        if _share(made.study, effect.id) > settings.laws.most_of_deflection:
             continue
         again = study_of(plain.observation, made.study.terms)  # with it the springs are as soft as they are beside it
-        if helps_elsewhere(plain, again.bench, again.base, settings.held_out_sigmas):
+        if helps_elsewhere(plain, again.bench, again.base, settings):
             return StandIn(effect, nats, made)
     return None
 
 
-def helps_elsewhere(study: Study, bench: Bench, block: Block, sigmas: float) -> bool:
+def _share(study: Study, effect_id: str) -> float:
+    """RMS of the displacement by an effect over that of the whole model, in observed rows; 0 in an absolute session."""
+    if study.ready.kind == "absolute":
+        return 0.0
+    each = displacements(study.terms, study.observation.scene, study.ready)
+    rows = study.observation.rows
+    whole = np.sum(list(each.values()), axis=0)[rows]
+    return float(np.linalg.norm(each[effect_id][rows]) / max(float(np.linalg.norm(whole)), 1e-300))
+
+
+def helps_elsewhere(study: Study, bench: Bench, block: Block, settings: Settings = SETTINGS) -> bool:
     """Whether a model is better with a law by some standard errors over regions, each predicted from all others.
 
-    A pose alone is much like its neighbours, and what they have in common by chance predicts it.
+    A pose alone is much like its neighbours, and what they have in common by chance predicts it. A region that lies beyond all
+    others counts no more than some of them: a model is not used beyond the poses that it was identified in.
 
     Args:
         study: without it; bench, block: with it, on the same rows.
@@ -111,7 +133,9 @@ def helps_elsewhere(study: Study, bench: Bench, block: Block, sigmas: float) -> 
         return False
     parts = [np.flatnonzero(np.isin(study.bench.pose, poses)) for poses in of_region]
     saved = _missed(study.bench, study.base, parts) - _missed(bench, block, parts)
-    return bool(saved.mean() > sigmas * saved.std(ddof=1) / np.sqrt(len(saved)))
+    most = settings.laws.far_off * float(np.median(np.abs(saved)))
+    saved = np.clip(saved, -most, most)
+    return bool(saved.mean() > settings.held_out_sigmas * saved.std(ddof=1) / np.sqrt(len(saved)))
 
 
 def regions(q: Array, pose: IntArray) -> list[IntArray]:
@@ -142,7 +166,7 @@ def _missed(bench: Bench, block: Block, parts: Sequence[IntArray]) -> Array:
     return np.array([(left[rows] ** 2).sum() for rows in parts])
 
 
-def _may(law: FormulaEffect, scene: Scene) -> bool:
+def _may(law: FormulaEffect, scene: Scene, settings: Settings = SETTINGS) -> bool:
     """Whether predictions and corrections may have it: in proportion to the process force in a loaded session, of an axis' own
     torque and angle in an absolute one, without powers of anything else, which soon are far off where it is a little warmer.
 
@@ -152,7 +176,7 @@ def _may(law: FormulaEffect, scene: Scene) -> bool:
     if not is_predicted(law.cause, scene.kind) or isinstance(law.no_live_form(), Refused) or "**" in law.formula:
         return False
     if scene.kind == "absolute":
-        return law.turns_by_itself and all(float(often) <= MOST_OFTEN for often in REPEATS.findall(law.formula))
+        return law.turns_by_itself and all(float(often) <= settings.laws.most_often for often in REPEATS.findall(law.formula))
     ones = np.ones(len(law.parameters(scene)))
     by_half = law.displacement(scene.with_wrench(0.5 * scene.force_in_tool, 0.5 * scene.torque_in_tool), ones)
     return np.allclose(by_half, 0.5 * law.displacement(scene, ones), rtol=1e-6, atol=1e-15)

@@ -20,12 +20,14 @@ from ..typing import Array
 from .candidates import Trial, options, try_option
 from .evidence import Block, Ground
 from .held_out import held_out
+from .law_forms import likeliest
 from .remainder import Remainder
 from .ripples import ripples
 from .settings import SETTINGS, Settings
 from .study import Study, study_of
 
 MOST = 3
+MOST_TERMS = 4  # of a formula that people are to make something of
 HARMONICS = (1, 2, 3)
 OWN_HARMONICS = range(1, 13)  # of a gear's compliance with its own angle: some teeth carry worse than others
 XYZ = "xyz"
@@ -61,6 +63,10 @@ def proposals(
         depends_on: session columns and `tau_k`, strongest first.
     """
     likely = weighed(study, remainder, depends_on, check, settings)
+    if study.ready.kind == "loaded" and remainder.structures:
+        short = (one for one in likeliest(study, check, settings) if len(one[0].parameters(study.ready)) <= MOST_TERMS)
+        known = {effect.formula for effect, _, _ in likely}
+        likely = sorted((*likely, *(one for one in short if one[0].formula not in known)), key=lambda one: -one[2])
     before = held_out(study).rms_m if likely else 0.0
     out: list[Proposal] = []
     for effect, _, odds in likely:

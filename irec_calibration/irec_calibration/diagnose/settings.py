@@ -80,6 +80,33 @@ class ProposalThresholds(Thresholds):
 
 
 @dataclass(frozen=True)
+class LawThresholds(Thresholds):
+    """Laws that stand in for what has no name."""
+
+    most: int = threshold(5, "laws", "in a model", "each has evidence of its own; more help nobody to find a cause")
+    refitted: int = threshold(3, "laws", "of the likeliest that hold in regions, refitted each time", "run time")
+    of_a_length: int = threshold(
+        3, "laws", "of one number of terms that are tried", "a long one may go wrong where a short one holds",
+    )  # fmt: skip
+    worth: float = threshold(0.01, "of the error on held-out poses", "by which it has to fall", "less helps no correction")
+    most_often: float = threshold(
+        3.0, "per turn", "of an axis that turns by its own angle where nothing presses",
+        "a single order of a ripple, found on one series of a measured UR10, did harm on the others",
+    )  # fmt: skip
+    beside_course: float = threshold(
+        0.5, "of the evidence", "of a structure that follows time or a temperature that a law needs that follows neither",
+        "less, and it describes by chance what passes with time",
+    )  # fmt: skip
+    far_off: float = threshold(
+        3.0, "times the median region", "that a region may gain or lose by a law, beyond which it counts no more",
+        "a region beyond all others is extrapolated to, which the envelope of a model never is",
+    )  # fmt: skip
+    most_of_deflection: float = threshold(
+        0.5, "of the deflection", "that a law may move", "one that moves more undoes springs, and is far off under other loads",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Settings(Thresholds):
     """Thresholds of a diagnosis; `nats` are natural logarithms of odds."""
 
@@ -290,6 +317,7 @@ class Settings(Thresholds):
     lasting: LastingThresholds = LastingThresholds()
     flexible: FlexibleThresholds = FlexibleThresholds()
     proposed: ProposalThresholds = ProposalThresholds()
+    laws: LawThresholds = LawThresholds()
     absolute: AbsoluteThresholds = ABSOLUTE
     identifiability: IdentifiabilityThresholds = IDENTIFIABILITY
     outliers: OutlierThresholds = OUTLIERS

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """An effect that a user writes as one line: `axis 3: c * tau**3`.
 
-The part before the colon says what the formula gives: `axis K` an angle about joint K, `tool x|y|z` or `base x|y|z` a
-displacement along an axis of tool0 or base_link. The expression may use the variables of `VARIABLES`, the functions of
+The part before the colon says what the formula gives: `axis K` an angle about joint K, `link Ka` or `link Kb` one about an axis
+across it at the same place (virtual axis of the paper, Eq. (1)), `tool x|y|z` or `base x|y|z` a displacement along an axis of
+tool0 or base_link. The expression may use the variables of `VARIABLES`, the functions of
 `FUNCTIONS`, numbers, and any other names, which become parameters. It is parsed into a tree of permitted operations and
 never handed to `eval`.
 """
@@ -24,9 +25,9 @@ from .scene import Scene
 from .traits import Cause
 
 VARIABLES: dict[str, str] = {
-    "tau": "torque of the process about the target axis, N m (axis K only)",
-    "tau_g": "torque of gravity about the target axis, N m (axis K only)",
-    "q": "angle of the target axis, rad (axis K only)",
+    "tau": "torque of the process about the target axis, N m (axis K and link Ka or Kb only)",
+    "tau_g": "torque of gravity about the target axis, N m (the same)",
+    "q": "angle of the target axis, rad (the same)",
     "step": "change of the target axis since the previous row, rad (axis K only)",
     "tau_1 ..": "process torque about axis 1, 2, .., N m",
     "tau_g_1 ..": "gravity torque about axis 1, 2, .., N m",
@@ -34,6 +35,7 @@ VARIABLES: dict[str, str] = {
     "step_1 ..": "change of axis 1, 2, .. since the previous row, rad",
     "f_x f_y f_z": "force of the environment on the robot in tool0, N",
     "b_x b_y b_z": "the same in base_link, N",
+    "load": "size of the process force, N; a torque counts as the force that has it over 0.2 m; never 0",
     "x y z": "TCP in base_link, m",
     "t": "time since the session began, s",
     "dwell": "time since the load was applied, s",
@@ -46,13 +48,18 @@ FUNCTIONS: dict[str, Callable[..., Array]] = {
 }  # fmt: skip
 CONSTANTS = {"pi": np.pi}
 TWO_ARGUMENTS = ("min", "max")
-LOAD_VARIABLE = r"tau(_\d+)?|[fb]_[xyz]"
+LOAD_VARIABLE = r"tau(_\d+)?|[fb]_[xyz]|load"
+TARGET = re.compile(
+    r"\s*(?:axis\s+(?P<axis>\d+)|link\s+(?P<link>\d+)(?P<across>[ab])|(?P<frame>tool|base)\s+(?P<along>[xyz]))\s*"
+)
 NEEDS = {"load": LOAD_VARIABLE, "time": "t|dwell", "step": r"step(_\d+)?", "temperature": r"temp_\w+", "ext": r"ext_\w+"}
 OPERATORS: dict[type[ast.AST], Callable[..., Array]] = {
     ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power,
     ast.USub: np.negative, ast.UAdd: np.positive,
 }  # fmt: skip
 TYPICAL_DISPLACEMENT = 1e-4  # m; a parameter of scale 1 moves the marker by about this much
+LEVER = 0.2  # m, by which `load` counts a torque as a force
+SMALLEST_LOAD = 1e-6  # N
 LONGEST_FORMULA = 500
 DEEPEST = 100  # operations inside one another
 LARGEST_EXPONENT = 12
@@ -76,14 +83,15 @@ class FormulaEffect(Effect):
         if len(formula) > LONGEST_FORMULA:
             raise EffectError(f"formula of {len(formula)} characters; at most {LONGEST_FORMULA} are read")
         target, colon, expression = formula.partition(":")
-        found = re.fullmatch(r"\s*(?:axis\s+(\d+)|(tool|base)\s+([xyz]))\s*", target)
+        found = TARGET.fullmatch(target)
         if not colon or found is None:
             raise EffectError(
-                f"formula '{formula}': it must begin with 'axis K:', 'tool x:' (y, z) or 'base x:' (y, z), as in 'axis 3: "
-                "c * tau**3'"
+                f"formula '{formula}': it must begin with 'axis K:', 'link Ka:' (Kb), 'tool x:' (y, z) or 'base x:' (y, z), as "
+                "in 'axis 3: c * tau**3'"
             )
-        self._axis = int(found[1]) - 1 if found[1] else None
-        self._frame, self._direction = found[2], "xyz".find(found[3] or "x")
+        self._axis = int(found["axis"]) - 1 if found["axis"] else None
+        self._link = 2 * (int(found["link"]) - 1) + "ab".index(found["across"]) if found["link"] else None
+        self._frame, self._direction = found["frame"], "xyz".find(found["along"] or "x")
         try:
             self._tree = ast.parse(expression.strip(), mode="eval").body
         except (SyntaxError, RecursionError, MemoryError, ValueError) as error:
@@ -197,6 +205,10 @@ class FormulaEffect(Effect):
             if self._axis >= scene.n_joints:
                 raise EffectError(f"formula '{self.formula}': the robot has {scene.n_joints} axes")
             return scene.J[:, :, self._axis]
+        if self._link is not None:
+            if self._link >= scene.V.shape[2]:
+                raise EffectError(f"formula '{self.formula}': the robot has {scene.n_joints} axes")
+            return scene.V[:, :, self._link]
         if self._frame == "tool":
             return scene.kin.R_tool[:, :, self._direction] * scene.moves_with_arm[:, None]
         return np.tile(np.eye(3)[self._direction], (len(scene), 1))
@@ -208,6 +220,12 @@ class FormulaEffect(Effect):
             table |= {f"{name}_{k + 1}": block[:, k] for k in range(scene.n_joints)}
             if self._axis is not None and self._axis < scene.n_joints:
                 table[name] = block[:, self._axis]
+        if self._link is not None and self._link < scene.V.shape[2]:
+            k = self._link // 2
+            table |= {"tau": scene.tau_virtual[:, self._link], "tau_g": scene.gravity.tau_virtual[:, self._link]}
+            table["q"] = scene.q[:, k]
+        if "load" in self._read:
+            table["load"] = size_of_load(scene)
         for prefix, block in (("f_", scene.force_in_tool), ("b_", scene.force), ("", scene.p_tcp)):
             table |= {prefix + a: block[:, i] for i, a in enumerate("xyz")}
         table |= {f"temp_{n}": v for n, v in scene.temperature.items()} | {f"ext_{n}": v for n, v in scene.ext.items()}
@@ -235,6 +253,12 @@ class FormulaEffect(Effect):
             return walk(self._tree)
 
 
+def size_of_load(scene: Scene) -> Array:
+    """The variable `load`, (n,), N."""
+    force, torque = (np.linalg.norm(x, axis=1) for x in (scene.force_in_tool, scene.torque_in_tool))
+    return np.asarray(np.maximum(np.hypot(force, torque / LEVER), SMALLEST_LOAD))
+
+
 def in_words(effect: Effect) -> str:
     """How a sentence names an effect: by its label, a formula as the law that it is."""
     return f"the law '{effect.label}'" if isinstance(effect, FormulaEffect) else effect.label
@@ -251,4 +275,4 @@ def _deeper_than(limit: int, tree: ast.AST) -> bool:
 
 
 def _is_variable(name: str) -> bool:
-    return bool(re.fullmatch(r"(tau|tau_g|q|step)(_\d+)?|[fb]_[xyz]|[xyzt]|dwell|temp_\w+|ext_\w+", name))
+    return bool(re.fullmatch(r"(tau|tau_g|q|step)(_\d+)?|[fb]_[xyz]|load|[xyzt]|dwell|temp_\w+|ext_\w+", name))

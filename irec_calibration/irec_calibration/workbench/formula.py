@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from ..effects.formula import CONSTANTS, FUNCTIONS, VARIABLES, FormulaEffect
 from ..errors import EffectError
 
-TARGETS = ("axis ", "tool x: ", "tool y: ", "tool z: ", "base x: ", "base y: ", "base z: ")
+TARGETS = ("axis ", "link ", "tool x: ", "tool y: ", "tool z: ", "base x: ", "base y: ", "base z: ")
 SHORT = re.compile(r"[A-Za-z]_?\d*")
 MANY_AXES = 9
 NAMED_BY_SESSION = ("temp_", "ext_")
@@ -56,7 +56,7 @@ def check(text: str, variables: Sequence[str] = (), declared: Collection[str] = 
         return Checked("Begin with what the formula gives: 'axis 3:' an angle, 'tool z:' or 'base x:' a displacement.", len(text))
     offset = begin + len(target) + 1
     known = _known(variables)
-    axis = re.fullmatch(r"\s*axis\s+(\d+)\s*", target)
+    turns = re.fullmatch(r"\s*(axis\s+\d+|link\s+\d+[ab])\s*", target)
     try:
         tree = ast.parse(expression.strip(), mode="eval")
     except SyntaxError as error:
@@ -75,7 +75,7 @@ def check(text: str, variables: Sequence[str] = (), declared: Collection[str] = 
     for name, column in names:
         if _looks_like_variable(name) and name not in known and (variables or not name.startswith(NAMED_BY_SESSION)):
             return Checked(f"'{name}' is not in this session.", base + column)
-        if axis is None and name in ("tau", "tau_g", "q", "step"):
+        if turns is None and name in ("tau", "tau_g", "q", "step"):
             return Checked(f"'{name}' needs a target axis: write {name}_1, or begin with 'axis 1:'.", base + column)
     parameters = effect._names
     doubtful = tuple((n, nearest(n, known)) for n in parameters if n not in declared and needs_declaring(n, known))
@@ -101,7 +101,9 @@ def complete(text: str, cursor: int, variables: Sequence[str] = ()) -> list[str]
     before = text[:cursor]
     _, formula = _without_name(before)
     if ":" not in formula:
-        return [t for t in TARGETS if t.startswith(formula.lstrip())][:8] if formula.strip() not in ("axis",) else ["axis "]
+        if formula.strip() in ("axis", "link"):
+            return [f"{formula.strip()} "]
+        return [t for t in TARGETS if t.startswith(formula.lstrip())][:8]
     word = re.search(r"[A-Za-z_]\w*$", before)
     if word is None:
         return []

@@ -154,4 +154,4 @@ def test_what_only_neighbours_have_in_common_is_no_law(everywhere, helps):
         bench=SimpleNamespace(b=b, pose=pose, rounding=1e-9), base=block(np.ones(64)),
         observation=SimpleNamespace(rows=pose, pose=pose), session=SimpleNamespace(q=q),
     )  # fmt: skip
-    assert helps_elsewhere(study, study.bench, study.base + block(column), 1.5) == helps
+    assert helps_elsewhere(study, study.bench, study.base + block(column)) == helps
