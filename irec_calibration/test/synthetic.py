@@ -56,6 +56,7 @@ def session(
     sags: float = 1.0,
     approach: float = 5e-4,
     aligned: float = 0.0,
+    axis_aligned: int = 5,
 ) -> Session:
     """A loaded session: 18-DOF truth, five load cases a pose, plus what `extra` adds to the marker's displacement.
 
@@ -64,8 +65,9 @@ def session(
         joints: lowest and highest joint angles of the poses, rad.
         q_of_poses: (poses, 6), rad; drawn where None. lateral: multiple of the forces across the tool.
         weight: whether gravity acts. sags: share of what it bends the arm by on its way that is not commanded away by the
-            controller. approach: standard deviation of joint angles from row to row, rad. aligned: by how much axis 6 turns, about
-            the TCP, between a reference and its load cases, rad.
+            controller. approach: standard deviation of joint angles from row to row, rad.
+        aligned: by how much an axis (`axis_aligned`, counted from 0; the last one turns about the TCP) turns between a reference
+            and its load cases, rad.
     """
     rng = np.random.default_rng(seed)
     noise = noise or Noise(tracker_m=7.5e-6, tracker_m_per_m=1.8e-6, force_n=1.0, settling_m=2e-6)
@@ -74,7 +76,7 @@ def session(
     q_of_poses = rng.uniform(*joints, (poses, 6)) if q_of_poses is None else q_of_poses
     q = np.repeat(q_of_poses, 6, axis=0) + rng.normal(0, approach, (rows, 6))
     case = np.tile(np.arange(6), poses)
-    q[:, 5] += aligned * (case == 0)
+    q[:, axis_aligned] += aligned * (case == 0)
     force = np.array([LOAD_CASES.get(int(j), (0, 0, 0)) for j in case], dtype=float)
     force *= np.array([lateral, lateral, 1.0])
     force += np.where(case[:, None] > 0, rng.normal(0, 15.0, (rows, 3)), 0.0)

@@ -17,7 +17,8 @@ ALONG_FORCE = 0.1  # work of the force over what it would be if each deflection 
 RESIDUAL = 0.8  # of the deflection, beside springs and settling fitted to the session: forces of other rows leave 0.86
 ABOVE_NOISE = 5.0  # of the deflection over what is stated as noise, for its sign and size to be judged
 WITHIN_POSE = 0.05  # rad or m; joints between a reference and its load cases
-TCP_WITHIN_POSE, TURNED_AT_CONTACT = 0.05, 0.5  # m, rad or m; the same where the tool is turned about the TCP as it is pressed on
+MIXED_UP = 0.5  # of what joints differ by between poses, beyond which the rows of a pose are of several
+TCP_WITHIN_POSE, TURNED_AT_CONTACT = 0.05, 0.5  # m, and rad: a tool that turns about the TCP where poses are near each other
 LARGEST_FORCE, LARGEST_ARM = 1e5, 5.0  # N; m, torque over force
 FORCE_NOISE = 0.3  # of the force
 FEW = 50  # rows that tell which alteration would mend it
@@ -69,14 +70,9 @@ def deflection(session: Session) -> Iterator[str]:
     rows = np.flatnonzero((session.load_case != 0) & seen & seen[reference])
     if len(rows) < 3:
         return
-    within = np.median(np.abs(session.q[rows] - session.q[reference[rows]]).max(axis=1))
-    away = np.median(np.linalg.norm((session.p_tcp_in_base[rows] - session.p_tcp_in_base[reference[rows]]), axis=1))
-    most = TURNED_AT_CONTACT if away <= TCP_WITHIN_POSE else WITHIN_POSE  # a tool may be aligned when it comes to rest
-    if within > most:
-        yield (
-            f"joints differ by {within:.3g} rad or m (median) between a reference and its load cases, at most {most} is expected "
-            f"where the TCP moves by {away:.3g} m: do the rows of a pose belong together?"
-        )
+    mixed = _mixed_up(session, rows, reference)
+    if mixed:
+        yield mixed
         return
     R = np.stack([s.R_in_base for s in session.stations])[session.station]
     in_base = np.einsum("nij,nj->ni", R, session.p_marker_in_station)
@@ -113,6 +109,28 @@ def deflection(session: Session) -> Iterator[str]:
             f"{100 * left:.0f} % of the deflection are no answer of springs to this force (at most {100 * RESIDUAL:.0f} % is "
             "expected): load cases, axes of force_* or poses mixed up?"
         )
+
+
+def _mixed_up(session: Session, rows: IntArray, reference: IntArray) -> str:
+    """Whether rows of one pose are of several, or an empty string: as far from their reference as poses are from each other.
+
+    A tool may be aligned as it comes to rest, or come down from a reference well above: then they are apart, yet all alike.
+    """
+    off = np.abs(session.q[rows] - session.q[reference[rows]]).max(axis=1)
+    if np.median(off) <= WITHIN_POSE:
+        return ""
+    within = float(np.quantile(off, 0.75))  # of rows mixed up some fit by chance
+    middle = np.stack([np.median(session.q[rows[session.pose[rows] == p]], axis=0) for p in np.unique(session.pose[rows])])
+    apart = np.abs(middle[:, None] - middle[None]).max(axis=2)[np.triu_indices(len(middle), 1)]
+    between = float(np.median(apart)) if len(apart) else 0.0
+    most = MIXED_UP * between
+    moved = float(np.median(np.linalg.norm(session.p_tcp_in_base[rows] - session.p_tcp_in_base[reference[rows]], axis=1)))
+    if within <= most or (within <= TURNED_AT_CONTACT and moved <= TCP_WITHIN_POSE):
+        return ""
+    return (
+        f"joints differ by {within:.3g} rad or m (upper quartile) between a reference and its load cases, {between:.3g} (median) "
+        f"between poses; at most {MIXED_UP:g} of that is expected: do the rows of a pose belong together?"
+    )
 
 
 def _typical(session: Session) -> Array:

@@ -93,8 +93,14 @@ def test_a_clean_session_raises_no_doubt():
     assert doubts(LOADED) == () and doubts(ABSOLUTE) == ()
 
 
-def test_a_tool_that_is_aligned_at_contact_raises_no_doubt():
-    assert doubts(synthetic.session(seed=1, aligned=0.18)) == ()
+@pytest.mark.parametrize("near", [1.0, 0.1])
+def test_a_tool_that_is_aligned_at_contact_raises_no_doubt_however_near_the_poses_are(near):
+    low, high = (tuple(near * np.array(ends)) for ends in synthetic.JOINTS)
+    assert doubts(synthetic.session(seed=1, aligned=0.18, joints=(low, high))) == ()
+
+
+def test_a_reference_well_above_the_contact_raises_no_doubt():
+    assert doubts(synthetic.session(seed=1, aligned=0.3, axis_aligned=1)) == ()
 
 
 @pytest.mark.parametrize("name", ALTERED)
