@@ -69,6 +69,11 @@ class Form:
     terms: tuple[Term, ...]
     values: tuple[Array, ...]
 
+    @property
+    def angles(self) -> int:
+        """How many functions of joint angles it has, of which each pose says one value."""
+        return len({angle for _, angle in self.terms} - {""})
+
     def text(self, target: str) -> str:
         """As formulas write it, terms of one load together."""
         names = iter(NAMES)
@@ -136,10 +141,9 @@ def forms(scene: Scene, target: Target) -> Iterator[Form]:
         ])  # fmt: skip
     if target.gravity is not None:
         yield from _with_gravity(scene, target.loads[0].values, target.gravity, size)
-        turns = [waves[k][0] for k in np.flatnonzero(~scene.kin.is_prismatic)]
         own = target.loads[0]
-        for once, again in combinations(turns, 2):
-            yield _form([((own.name, f"{s} * {t}"), own.values * v * w) for (s, v), (t, w) in product(once, again)])
+        for once, again in combinations([of_joint[0] for of_joint in waves], 2):
+            yield _form([((own.name, words), own.values * values) for words, values in _of_two_angles(once, again)])
 
 
 def _form(parts: Sequence[tuple[Term, Array]]) -> Form:
@@ -151,13 +155,27 @@ Wave = tuple[str, Array]  # a term of a joint angle as formulas write it, and it
 
 def _waves(scene: Scene, joint: int) -> list[list[Wave]]:
     """How a law may go with the place of a joint, counted from 0: sets of terms that belong together."""
-    name, q = f"q_{joint + 1}", scene.q[:, joint]
-    if scene.kin.is_prismatic[joint] or np.ptp(q) < NARROW:
-        middle = float(f"{0.5 * (q.min() + q.max()):.2f}")
+    q = scene.q[:, joint]
+    low, high = float(np.floor(100.0 * q.min()) / 100.0), float(np.ceil(100.0 * q.max()) / 100.0)
+    name, q = f"clip(q_{joint + 1}, {low:g}, {high:g})", np.clip(q, low, high)  # beyond no pose says anything
+    if scene.kin.is_prismatic[joint] or high - low < NARROW:
+        middle = float(f"{0.5 * (low + high):.2f}")
         u = f"({name} {'-' if middle >= 0.0 else '+'} {abs(middle):g})"
         return [[(u, q - middle), (f"{u} * {u}", (q - middle) ** 2)]]
     once, twice = name, f"2 * {name}"
     return [[(f"cos({w})", np.cos(m * q)), (f"sin({w})", np.sin(m * q))] for m, w in ((1.0, once), (2.0, twice))]
+
+
+def _of_two_angles(one: list[Wave], other: list[Wave]) -> list[Wave]:
+    """How a law may go with the places of two joints together: of a joint that hardly moves in proportion to it."""
+    narrow = [waves[:1] for waves in (one, other) if _is_narrow(waves)]
+    first, second = (waves[:1] if _is_narrow(waves) else waves for waves in (one, other))
+    both = [(f"{s} * {t}", v * w) for (s, v), (t, w) in product(first, second)]
+    return [*(wave for waves in narrow for wave in waves), *both]
+
+
+def _is_narrow(waves: list[Wave]) -> bool:
+    return not waves[0][0].startswith("cos")
 
 
 def _with_gravity(scene: Scene, tau: Array, tau_g: Array, size: Array) -> Iterator[Form]:
@@ -187,11 +205,12 @@ def likeliest(
     ground, scene = Ground(study.bench, study.base), study.ready
     deflection = np.sqrt((scene.response.displacement[study.observation.rows] ** 2).sum(axis=1).mean())
     largest = settings.laws.most_of_deflection * float(deflection) / TYPICAL_DISPLACEMENT
+    most = len(study.bench.poses) / settings.laws.poses_per_angle
     at_once = max(AT_ONCE // len(scene), 1)
     found: list[_Found] = []
     tried = 0
     for target in targets(scene):
-        of_target = list(forms(scene, target))
+        of_target = [form for form in forms(scene, target) if form.angles <= most]
         tried += len(of_target)
         for first in range(0, len(of_target), at_once):
             check()

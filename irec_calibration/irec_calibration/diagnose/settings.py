@@ -88,6 +88,10 @@ class LawThresholds(Thresholds):
     of_a_length: int = threshold(
         3, "laws", "of one number of terms that are tried", "a long one may go wrong where a short one holds",
     )  # fmt: skip
+    poses_per_angle: float = threshold(
+        6.0, "poses", "for each function of joint angles that a law has",
+        "a pose says one value of it; on an outside simulator laws of two joints described 14 poses and no others",
+    )  # fmt: skip
     worth: float = threshold(0.01, "of the error on held-out poses", "by which it has to fall", "less helps no correction")
     most_often: float = threshold(
         3.0, "per turn", "of an axis that turns by its own angle where nothing presses",

@@ -44,10 +44,10 @@ VARIABLES: dict[str, str] = {
 }
 FUNCTIONS: dict[str, Callable[..., Array]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "tanh": np.tanh, "exp": np.exp, "log": np.log, "sqrt": np.sqrt,
-    "abs": np.abs, "sign": np.sign, "min": np.minimum, "max": np.maximum,
+    "abs": np.abs, "sign": np.sign, "min": np.minimum, "max": np.maximum, "clip": np.clip,
 }  # fmt: skip
 CONSTANTS = {"pi": np.pi}
-TWO_ARGUMENTS = ("min", "max")
+ARGUMENTS = {"min": 2, "max": 2, "clip": 3}  # of the others one; clip(x, lowest, highest)
 LOAD_VARIABLE = r"tau(_\d+)?|[fb]_[xyz]|load"
 TARGET = re.compile(
     r"\s*(?:axis\s+(?P<axis>\d+)|link\s+(?P<link>\d+)(?P<across>[ab])|(?P<frame>tool|base)\s+(?P<along>[xyz]))\s*"
@@ -129,7 +129,7 @@ class FormulaEffect(Effect):
                 raise EffectError(
                     f"formula '{self.formula}': '{ast.unparse(node.func)}' is not a function; there are {', '.join(FUNCTIONS)}"
                 )
-            needed = 2 if node.func.id in TWO_ARGUMENTS else 1
+            needed = ARGUMENTS.get(node.func.id, 1)
             if len(node.args) != needed:
                 raise EffectError(f"formula '{self.formula}': {node.func.id} takes {needed} argument(s), {len(node.args)} given")
             children = list(node.args)
