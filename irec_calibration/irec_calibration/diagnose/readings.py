@@ -173,9 +173,12 @@ def could_carry(study: Study, term: Term) -> float:
 
 
 def _with_any_of_this_order(study: Study, effect: Effect, known: Readings, theta: Array) -> float:
-    """Log odds that the readings have an effect with any values of the order of theta, (p,), over that they do not."""
+    """Log odds that the readings have an effect with any values of the order of theta, (p,), over that they do not: of those
+    parameters that differences show, or of all."""
     own = _any_of_this_order(study, effect, theta, known.rows)
-    return fitted(known.values, np.concatenate([known.ground, own], axis=2))[0] - known.log_evidence
+    some = (columns for columns in (own, own[:, :, theta != 0.0]) if columns.shape[2])
+    odds = [fitted(known.values, np.concatenate([known.ground, c], axis=2))[0] - known.log_evidence for c in some]
+    return float(np.logaddexp.reduce(odds) - np.log(len(odds))) if odds else 0.0
 
 
 def _any_of_this_order(study: Study, effect: Effect, theta: Array, rows: IntArray) -> Array:

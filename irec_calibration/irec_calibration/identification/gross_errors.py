@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..typing import IntArray
+from ..session.data import Session
+from ..typing import BoolArray, IntArray
 from .bad_rows import BadRow, place
 from .observe import Observation
 from .settings import OUTLIERS
@@ -52,7 +53,9 @@ def wrong_joints(observation: Observation) -> list[BadRow]:
             spread = 1.4826 * float(np.median(np.abs(off[of_case] - usual)))
             limit[of_case] = usual + OUTLIERS.elsewhere_sigmas * spread
     found = []
-    for row in np.flatnonzero(off > limit):
+    suspects = np.flatnonzero(off > limit)
+    seen = _seen_there(session, suspects, index)
+    for row in suspects[~seen]:
         group = np.flatnonzero(index == index[row])
         if (off[group] > limit[group]).sum() * 2 > len(group):
             continue  # the pose has no angles of its own
@@ -64,6 +67,33 @@ def wrong_joints(observation: Observation) -> list[BadRow]:
         spoilt = group[session.load_case[group] != 0] if session.load_case[row] == 0 else np.array([row])
         found.append(BadRow("joints", tuple(int(r) for r in spoilt), float("nan"), text))
     return found
+
+
+def _seen_there(session: Session, rows: IntArray, index: IntArray) -> BoolArray:
+    """Whether the marker of some rows was seen to be as far from its place in the pose's other rows as joint angles say, (k,).
+
+    Near a singularity the wrist turns by far without a mistake.
+
+    Args:
+        index: which rows are of one pose and repeat.
+    """
+    out = np.zeros(len(rows), dtype=bool)
+    if not len(rows):
+        return out
+    kin = session.robot.kinematics(session.q)
+    xyz = np.array([m.xyz for m in session.markers])[session.marker]
+    believed = kin.p_tcp + np.einsum("nij,nj->ni", kin.R_tool, xyz)
+    R = np.stack([s.R_in_base for s in session.stations])[session.station]
+    measured = np.einsum("nij,nj->ni", R, session.p_marker_in_station)
+    alike = session.marker_seen & session.on_tool
+    for i, row in enumerate(rows):
+        others = np.flatnonzero((index == index[row]) & alike & (session.station == session.station[row]))
+        others = others[(others != row) & (session.marker[others] == session.marker[row])]
+        if alike[row] and len(others):
+            moved, seen = (np.median(x[row] - x[others], axis=0) for x in (believed, measured))
+            most = max(OUTLIERS.seen_there_m, OUTLIERS.seen_there * float(np.linalg.norm(moved)))
+            out[i] = np.linalg.norm(moved - seen) < most
+    return out
 
 
 def _grouped(index: IntArray) -> list[IntArray]:

@@ -124,6 +124,11 @@ class OutlierThresholds(Thresholds):
         0.1, "rad", "of joint angles from those of their pose at least", "near a singularity a wrist turns by 0.02 within a pose",
     )  # fmt: skip
     elsewhere_usual: float = threshold(20.0, "times what is usual", "of joint angles from those of their pose at least", "chosen")
+    seen_there: float = threshold(
+        0.5, "of the way", "that joint angles say a marker moved within a pose, by which it may have been seen elsewhere",
+        "chosen: a wrong row is off by all of it",
+    )  # fmt: skip
+    seen_there_m: float = threshold(5e-3, "m", "the same at least", "more than a robot gives way between two load cases")
     elsewhere_sigmas: float = threshold(
         6.0, "robust standard deviations", "from the usual distance of a load case, where that is far from the pose's other rows",
         "a tool that is aligned as it comes to rest stands otherwise in all references",
