@@ -60,6 +60,7 @@ class Target:
 
 
 Term = tuple[str, str]  # a load, or what is in its place, and what it is multiplied by; empty: nothing
+Wave = tuple[str, Array]  # a function of a joint angle as formulas write it, and its values, (n,)
 
 
 @dataclass(frozen=True)
@@ -114,43 +115,56 @@ def forms(scene: Scene, target: Target) -> Iterator[Form]:
     size = size_of_load(scene)
     waves = [_waves(scene, k) for k in range(scene.n_joints)]
     for load in target.loads:
-        x, v, a = load.name, load.values, np.abs(load.values)
-        line = [] if x in target.alone else [((x, ""), v)]
-        even = [((f"abs({x})", ""), a)]
-        if line:
-            yield _form(line)
-        yield _form(even)
-        square = [((f"{x} * {x} / load", ""), v * v / size), ((f"{x} * abs({x}) / load", ""), v * a / size)]
-        yield _form(line + square)
-        yield _form(line + even + square + [((f"{x} * {x} * {x} / load / load", ""), v**3 / size**2)])
-        for of_joint in waves:
-            turned = [[((x, name), v * wave) for name, wave in one] for one in of_joint]
-            turned_even = [[((f"abs({x})", name), a * wave) for name, wave in one] for one in of_joint]
-            for odd, of_size in zip(turned, turned_even, strict=True):
-                yield _form(line + odd)
-                yield _form(even + of_size)
-            for n in range(1, len(of_joint) + 1):
-                yield _form(line + sum(turned[:n], []) + even + sum(turned_even[:n], []))
+        yield from _of_one_load(load, load.name in target.alone, size, waves)
     for one, other in combinations(target.loads, 2):
-        x, y, v, w = one.name, other.name, one.values, other.values
-        both = ((f"{x} * {y} / load", ""), v * w / size)
-        yield _form([both])
-        yield _form([
-            both, ((f"abs({x}) * {y} / load", ""), np.abs(v) * w / size), ((f"{x} * abs({y}) / load", ""), v * np.abs(w) / size),
-            ((f"abs({x} * {y}) / load", ""), np.abs(v * w) / size),
-        ])  # fmt: skip
+        yield from _of_two_loads(one, other, size)
     if target.gravity is not None:
-        yield from _with_gravity(scene, target.loads[0].values, target.gravity, size)
         own = target.loads[0]
-        for once, again in combinations([of_joint[0] for of_joint in waves], 2):
-            yield _form([((own.name, words), own.values * values) for words, values in _of_two_angles(once, again)])
+        yield from _with_gravity(scene, own.values, target.gravity, size)
+        for first, second in combinations([of_joint[0] for of_joint in waves], 2):
+            yield _form([((own.name, words), own.values * values) for words, values in _of_two_angles(first, second)])
+
+
+def _of_one_load(load: Load, alone: bool, size: Array, waves: Sequence[Sequence[Sequence[Wave]]]) -> Iterator[Form]:
+    """A curve of a load, or what goes with it, either way of its sign, and with the place of a joint.
+
+    Args:
+        alone: a spring of the target answers to the load as it is, so no law has that; size: of the process force, (n,), N.
+        waves: of each joint.
+    """
+    x, v, a = load.name, load.values, np.abs(load.values)
+    line = [] if alone else [((x, ""), v)]
+    even = [((f"abs({x})", ""), a)]
+    square = [((f"{x} * {x} / load", ""), v * v / size), ((f"{x} * abs({x}) / load", ""), v * a / size)]
+    cube = [((f"{x} * {x} * {x} / load / load", ""), v**3 / size**2)]
+    if line:
+        yield _form(line)
+    yield _form(even)
+    yield _form(line + square)
+    yield _form(line + even + square + cube)
+    for of_joint in waves:
+        odd = [[((x, words), v * wave) for words, wave in one] for one in of_joint]
+        of_size = [[((f"abs({x})", words), a * wave) for words, wave in one] for one in of_joint]
+        for one, other in zip(odd, of_size, strict=True):
+            yield _form(line + one)
+            yield _form(even + other)
+        for n in range(1, len(of_joint) + 1):
+            yield _form(line + sum(odd[:n], []) + even + sum(of_size[:n], []))
+
+
+def _of_two_loads(one: Load, other: Load, size: Array) -> Iterator[Form]:
+    """The product of two loads, either way of their signs."""
+    x, y, v, w = one.name, other.name, one.values, other.values
+    product_of_both = ((f"{x} * {y} / load", ""), v * w / size)
+    yield _form([product_of_both])
+    yield _form([
+        product_of_both, ((f"abs({x}) * {y} / load", ""), np.abs(v) * w / size),
+        ((f"{x} * abs({y}) / load", ""), v * np.abs(w) / size), ((f"abs({x} * {y}) / load", ""), np.abs(v * w) / size),
+    ])  # fmt: skip
 
 
 def _form(parts: Sequence[tuple[Term, Array]]) -> Form:
     return Form(tuple(term for term, _ in parts), tuple(values for _, values in parts))
-
-
-Wave = tuple[str, Array]  # a term of a joint angle as formulas write it, and its values, (n,)
 
 
 def _waves(scene: Scene, joint: int) -> list[list[Wave]]:
