@@ -163,6 +163,7 @@ class Deflection:
         if self._sensor is not None:
             force_in_tool = self._sensor.force @ force_in_tool + self._sensor.weight @ (R.T @ self._gravity)
             torque_in_tool = self._sensor.torque @ torque_in_tool
+        tick.force, tick.torque = force_in_tool, torque_in_tool
         px, py, pz = chain.p_tcp.tolist()
         tau = J.T @ self._at_base(R @ force_in_tool, R @ torque_in_tool)
         dq = self._answer(tau)

@@ -13,13 +13,14 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Callable
+from math import sqrt
 
 import numpy as np
 
 from ..errors import EffectError
 from ..typing import Array
 from .base import NOT_IN_PRODUCTION, Effect, Parameter, not_in_production
-from .formula_live import READ, AxisLaw
+from .formula_live import READ, TurningLaw, by_values
 from .live import ByDisplacement, LeftOut, LiveForm, Refused
 from .scene import Scene
 from .traits import Cause
@@ -152,14 +153,15 @@ class FormulaEffect(Effect):
         return self._axis is not None and all(own.fullmatch(n) for n in self._read)
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
-        if self._axis is None or not all(READ.fullmatch(n) for n in self._read):
+        turns = self._axis if self._axis is not None else self._link
+        # no tick has the torque of gravity about an axis across a joint
+        if turns is None or not all(READ.fullmatch(n) for n in self._read) or (self._link is not None and "tau_g" in self._read):
             return ByDisplacement()
-        values = dict(zip(self._names, (float(v) for v in theta), strict=True))
-
-        def angle(variables: dict[str, float]) -> Array:
-            return self._evaluate({**variables, **values})
-
-        return AxisLaw(self.formula, self._axis, scene.n_joints, self._read, angle)
+        axis = turns if self._axis is not None else turns // 2
+        column = f"joint_{axis + 1}{'' if self._axis is not None else 'ab'[turns % 2]}"
+        constants = {**CONSTANTS, **dict(zip(self._names, (float(v) for v in theta), strict=True))}
+        law = by_values(self._tree, constants)
+        return TurningLaw(self.formula, column, axis, scene.n_joints, self._read, law, size_of_wrench)
 
     def _counted_from(self) -> dict[str, float]:
         """Temperatures that are counted from one value: those that stand in a difference `temp_NAME - NUMBER`."""
@@ -257,6 +259,11 @@ def size_of_load(scene: Scene) -> Array:
     """The variable `load`, (n,), N."""
     force, torque = (np.linalg.norm(x, axis=1) for x in (scene.force_in_tool, scene.torque_in_tool))
     return np.asarray(np.maximum(np.hypot(force, torque / LEVER), SMALLEST_LOAD))
+
+
+def size_of_wrench(force: Array, torque: Array) -> float:
+    """The variable `load` of one force and torque, (3,) each, N and N m."""
+    return max(sqrt(float(force @ force) + float(torque @ torque) / LEVER**2), SMALLEST_LOAD)
 
 
 def in_words(effect: Effect) -> str:

@@ -32,11 +32,14 @@ class Tick:
         tau_unseen: torque about each drive of what pulls at the arm and no sensor reads (`Pull`), (k,), N m.
         dt: time since the tick before, s.
         rail_position: of the external axis, m.
+        force, torque: of the process at the TCP as they really act, in tool0, (3,) each, N and N m.
         directions: unit vectors in base_link of the columns that a `Pull` asks for, (3, c).
         moments: of these about the origin of base_link, p x direction, (3, c), m.
     """
 
-    __slots__ = ("directions", "drives", "dt", "moments", "q", "rail_position", "tau", "tau_gravity", "tau_unseen")
+    __slots__ = (
+        "directions", "drives", "dt", "force", "moments", "q", "rail_position", "tau", "tau_gravity", "tau_unseen", "torque",
+    )  # fmt: skip
 
     def __init__(self, n_joints: int) -> None:
         self.q = np.zeros(n_joints)
@@ -46,6 +49,8 @@ class Tick:
         self.tau_unseen = np.zeros(n_joints)
         self.dt = 0.0
         self.rail_position = 0.0
+        self.force = np.zeros(3)
+        self.torque = np.zeros(3)
         self.directions = np.zeros((3, 0))
         self.moments = np.zeros((3, 0))
 
