@@ -64,14 +64,19 @@ class Rung:
         if self.one_of:
             return f"+ {' or '.join(self.one_of)}"
         if self.stands_in:
-            return f"+ {self.formula or self.added} (no name)"
+            law = self._law
+            return f"+ {law.in_short if law else self.added} (no name)"
         return f"+ {self.added}{' (usual)' if self.usual else ''}"
 
     @property
     def formula(self) -> str:
         """The formula of the addition where it is one, else an empty string."""
+        return self._law.formula if self._law else ""
+
+    @property
+    def _law(self) -> FormulaEffect | None:
         added = (t.effect for t in self.model.terms if t.effect.id == self.added)
-        return next((e.formula for e in added if isinstance(e, FormulaEffect)), "")
+        return next((e for e in added if isinstance(e, FormulaEffect)), None)
 
     @property
     def stands_in(self) -> bool:

@@ -61,6 +61,7 @@ OPERATORS: dict[type[ast.AST], Callable[..., Array]] = {
 TYPICAL_DISPLACEMENT = 1e-4  # m; a parameter of scale 1 moves the marker by about this much
 LEVER = 0.2  # m, by which `load` counts a torque as a force
 SMALLEST_LOAD = 1e-6  # N
+LINE = 60  # characters of a formula in a table or a sentence
 LONGEST_FORMULA = 500
 DEEPEST = 100  # operations inside one another
 LARGEST_EXPONENT = 12
@@ -138,6 +139,13 @@ class FormulaEffect(Effect):
             children = []
         for child in children:
             self._check(child)
+
+    @property
+    def in_short(self) -> str:
+        """The formula where a line holds it, else what it gives and by what."""
+        if len(self.formula) <= LINE:
+            return self.formula
+        return f"{self.formula.partition(':')[0].strip()}: a law of {', '.join(sorted(self._read))}"
 
     def no_live_form(self) -> LeftOut | Refused | None:
         at = self._counted_from()
@@ -268,7 +276,7 @@ def size_of_wrench(force: Array, torque: Array) -> float:
 
 def in_words(effect: Effect) -> str:
     """How a sentence names an effect: by its label, a formula as the law that it is."""
-    return f"the law '{effect.label}'" if isinstance(effect, FormulaEffect) else effect.label
+    return f"the law '{effect.in_short}'" if isinstance(effect, FormulaEffect) else effect.label
 
 
 def _deeper_than(limit: int, tree: ast.AST) -> bool:

@@ -15,7 +15,7 @@ from irec_calibration.diagnose.law_forms import NAMES, forms, likeliest, targets
 from irec_calibration.diagnose.run import start_terms
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.study import Study
-from irec_calibration.effects.formula import FormulaEffect
+from irec_calibration.effects.formula import FormulaEffect, in_words
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from numpy.typing import NDArray
@@ -110,3 +110,15 @@ def test_an_improved_model_predicts_a_cause_that_has_no_name(cause, law) -> None
     assert ladder.before.verdict.effects == ()
     assert law in [r.formula for r in ladder.rungs]
     assert ladder.rungs[-1].cv_rms_m < 1.2 * ladder.noise_floor_m < 0.7 * ladder.rungs[0].cv_rms_m
+
+
+@pytest.mark.parametrize(
+    ("formula", "said"),
+    [
+        ("axis 1: a * tau * tau_5 / load", "axis 1: a * tau * tau_5 / load"),
+        ("link 3a: f_x * (a + b * cos(q_4) + c * sin(q_4)) + abs(f_x) * (d + e * cos(q_4))", "link 3a: a law of f_x, q_4"),
+    ],
+)
+def test_a_law_that_no_line_holds_is_said_in_short(formula, said) -> None:
+    law = FormulaEffect("law", formula)
+    assert law.in_short == said and in_words(law) == f"the law '{said}'"
