@@ -145,7 +145,7 @@ class FormulaEffect(Effect):
         """The formula where a line holds it, else what it gives and by what."""
         if len(self.formula) <= LINE:
             return self.formula
-        return f"{self.formula.partition(':')[0].strip()}: a law of {', '.join(sorted(self._read))}"
+        return f"{self.formula.partition(':')[0].strip()}: by {', '.join(sorted(self._read))}"
 
     def no_live_form(self) -> LeftOut | Refused | None:
         at = self._counted_from()

@@ -29,7 +29,7 @@ def ladder(
     for i, value in enumerate(top):
         ax.annotate(f"{value:.2f}" if unit == "mm" else f"{value:.1f}", (x[i], value), textcoords="offset points", xytext=(10, 6))
     ax.axhline(factor * floor, color=style.RED, ls="--", label=f"{style.NOISE_LABEL} {length(floor)}")
-    ax.set_xticks(x, [label.replace(" + ", "\n+ ").replace(" (", "\n(") for label in labels])
+    ax.set_xticks(x, [label.replace(" + ", "\n+ ").replace(" (", "\n(").replace(": ", ":\n") for label in labels])
     ax.set_xlim(-0.5, len(labels) - 0.3)
     ax.set_ylim(0, 1.15 * max(top.max(), factor * floor))
     ax.set_ylabel(f"held-out error [{unit} rms]")

@@ -116,7 +116,7 @@ def test_an_improved_model_predicts_a_cause_that_has_no_name(cause, law) -> None
     ("formula", "said"),
     [
         ("axis 1: a * tau * tau_5 / load", "axis 1: a * tau * tau_5 / load"),
-        ("link 3a: f_x * (a + b * cos(q_4) + c * sin(q_4)) + abs(f_x) * (d + e * cos(q_4))", "link 3a: a law of f_x, q_4"),
+        ("link 3a: f_x * (a + b * cos(q_4) + c * sin(q_4)) + abs(f_x) * (d + e * cos(q_4))", "link 3a: by f_x, q_4"),
     ],
 )
 def test_a_law_that_no_line_holds_is_said_in_short(formula, said) -> None:
