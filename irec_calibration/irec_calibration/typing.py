@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shorthand for arrays of double precision numbers."""
+"""Shorthand for types of arrays and of JSON data."""
 
 from __future__ import annotations
 
@@ -11,4 +11,5 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+ComplexArray = NDArray[np.complex128]
 Json = dict[str, Any]

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..effects.joint_ripple import FEWEST as FIRST
 from ..effects.joint_ripple import MOST as LAST
-from ..typing import Array
+from ..typing import Array, ComplexArray
 from .study import Study
 
 FEWEST, MOST = 3.0, 400.0  # repeats per turn; smooth functions follow fewer, and gears have up to some 320
@@ -86,17 +86,26 @@ def _strongest(q: Array, by_angle: Array, residual: Array, frequency: Array) -> 
     return float(near[i]), float(power[i])
 
 
+def _turned_sums(q: Array, x: Array, frequency: Array) -> ComplexArray:
+    """Sums over m of x exp(i n q) at evenly spaced frequencies n, (f,): a product of few coarse and few fine steps of n."""
+    step = frequency[1] - frequency[0]
+    fine = int(np.ceil(np.sqrt(len(frequency))))
+    coarse = np.exp(1j * frequency[::fine, None] * q)
+    within = np.exp(1j * step * np.arange(fine)[:, None] * q)
+    out: ComplexArray = ((coarse * x) @ within.T).ravel()[: len(frequency)]
+    return out
+
+
 def _power(q: Array, by_angle: Array, residual: Array, frequency: Array) -> Array:
     """How far the squared residual falls with sine and cosine of each frequency, (f,).
 
     Args:
         q: angles of the joint, (m,), rad. by_angle: displacement by it, (m, 3), standard deviations per rad. residual: (m, 3),
-            standard deviations. frequency: (f,), per turn.
+            standard deviations. frequency: (f,), per turn, evenly spaced.
     """
     along, weight = (by_angle * residual).sum(axis=1), (by_angle**2).sum(axis=1)
-    phase = np.exp(1j * frequency[:, None] * q)
-    b = phase @ along
-    twice = (phase**2) @ weight
+    b = _turned_sums(q, along, frequency)
+    twice = _turned_sums(2.0 * q, weight, frequency)
     ss, cc, sc = 0.5 * (weight.sum() - twice.real), 0.5 * (weight.sum() + twice.real), 0.5 * twice.imag
     determinant = np.maximum(ss * cc - sc**2, 1e-12 * weight.sum() ** 2)
     s, c = b.imag, b.real
