@@ -7,8 +7,8 @@ less than the model leaves, by a structure that helps on held-out poses, or by a
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,7 +41,8 @@ class Assessment:
 
     Attributes:
         names: effects that every good explanation needs, most important first; one_of: sets of which one is needed; usual:
-            effects that are there no larger than in every robot.
+            effects that are there no larger than in every robot; unproven: that have evidence, but no part of which is proven and
+            without which other poses are predicted as well.
         study: the model with the added effects, cut down to the parts that they need; remainder: what is left beside it.
         evidence: what shows the structure that has no name: `repeats`, `held_out_structure`, `flexible_regression`,
             `readings_that_stand_out`, `few_poses`, `wandering`.
@@ -75,10 +76,19 @@ class Assessment:
     parts: dict[str, Parts] = field(default_factory=dict)
     other: tuple[tuple[Term, ...], tuple[str, str]] | None = None
     usual: tuple[str, ...] = ()
+    unproven: tuple[str, ...] = ()
 
     @property
     def added(self) -> tuple[str, ...]:
         return self.built.final.ids
+
+    def without_names(self, fallen: Collection[str]) -> Assessment:
+        """The same where some effects of the model are no names."""
+        if not fallen:
+            return self
+        names = tuple(i for i in self.names if i not in fallen)
+        status = self.status if names or self.weight_wrong else "unexplained" if self.evidence or self.one_of else "adequate"
+        return replace(self, names=names, status=status, unproven=tuple(fallen))
 
     @property
     def stand_out(self) -> tuple[Part, ...]:

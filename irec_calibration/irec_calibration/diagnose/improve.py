@@ -156,7 +156,7 @@ def improve(
         rung = _rung(one, effect, evidence, rungs[-1].model, assessment.parts if is_last else {})
         one_of = next(((effect, *(i for i in s if i != effect)) for s in assessment.one_of if effect in s), ())
         usual = effect in assessment.usual
-        rungs.append(replace(rung, one_of=one_of, usual=usual, named=not one_of and not usual))
+        rungs.append(replace(rung, one_of=one_of, usual=usual, named=effect in assessment.names))
     if shown.without_form is not None:
         rungs.append(_rung(shown.after, "+".join(shown.form), shown.form_evidence, rungs[-1].model, assessment.parts))
     for extra in shown.stand_ins:

@@ -86,6 +86,9 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
             cut = study if used == present else _with(study, sets.term(used))
             if beside is not None and beside.A.shape[1]:
                 used, cut = _with_needless(cut, used, PartSets(rest, term.effect, fitted, None))
+            if cut is not study and _missed(study, cut, beside):
+                known[effect_id] = Parts(perhaps=present, log_evidence=known[effect_id].log_evidence)
+                continue
             known[effect_id] = _with_more(known[effect_id], sets, used)
             study = cut
             rival = next((n for n in near if not set(n) < set(names)), None)
@@ -94,6 +97,20 @@ def prune(study: Study, added: Iterable[str], beside: Block | None = None, famil
         except SolveError:
             known[effect_id] = Parts(perhaps=present)
     return Pruned(study, known, other)
+
+
+def _missed(study: Study, cut: Study, beside: Block | None) -> bool:
+    """Whether a model lacks the parts that were taken out of it, once it is fitted.
+
+    Sets are scored on the linear problem about the model with all parts. Without some of them springs may be far softer, and what
+    pulls at these moves far more than there.
+
+    Args:
+        beside: columns of a remainder that both have.
+    """
+    blocks = (s.base if beside is None else s.base + beside for s in (study, cut))
+    whole, less = (s.bench.posterior(block).log_evidence for s, block in zip((study, cut), blocks, strict=True))
+    return bool(whole - less > SETTINGS.nats_to_prove_part)
 
 
 def _with_needless(cut: Study, used: Names, alone: PartSets) -> tuple[Names, Study]:

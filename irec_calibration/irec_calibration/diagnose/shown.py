@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from ..effects import find_effect
 from ..identification.validation import gain
 from ..model import Term
 from ..session.data import Session
@@ -65,6 +66,28 @@ def shown_of(session: Session, asked: Validated, assessment: Assessment, check: 
         return shown
     effects = stand_ins(session, assessment.built, shown.after, check)
     return replace(shown, stand_ins=(*effects, *laws(session, assessment, effects[-1].model if effects else shown.after, check)))
+
+
+def unproven(session: Session, assessment: Assessment, after: Validated, check: Callable[[], None]) -> tuple[str, ...]:
+    """Names of an absolute session none of whose parts is proven and without which other poses are predicted as well.
+
+    Much of what real robots have has no name, and an effect with many parts may describe some of it.
+
+    Args:
+        after: the model with all that was added.
+    """
+    if session.kind != "absolute":
+        return ()
+    out = []
+    for name in assessment.names:
+        parts = assessment.parts.get(name)
+        if parts is None or parts.proven or find_effect(name).compliance_of:
+            continue
+        check()
+        without = validated(session, [t for t in after.study.terms if t.effect.id != name])
+        if after.held_out.rms_m > (1.0 - SETTINGS.absolute_gain) * without.held_out.rms_m:
+            out.append(name)
+    return tuple(out)
 
 
 def _named(session: Session, asked: Validated, assessment: Assessment, check: Callable[[], None]) -> Shown:

@@ -67,6 +67,11 @@ def verdict_of(
     parts += _rest(assessment)
     parts += _form(shown)
     parts += [f"The improved model has {_label(i)} as every robot has it: no cause to look for." for i in assessment.usual]
+    parts += [
+        f"The improved model has {_label(i)} too, which is no diagnosis: no part of it is proven, and without it other poses are"
+        " predicted as well."
+        for i in assessment.unproven
+    ]
     parts += _stands_in(shown)
     parts += _misplaced(assessment.study)
     parts += _noise(assessment.noise)

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A name of an absolute session none of whose parts is proven has to help on other poses; parts that are missed stay."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from irec_calibration.diagnose import shown
+from irec_calibration.diagnose.part_sets import Parts
+from irec_calibration.diagnose.parts import _missed
+from irec_calibration.effects import find_effect
+from irec_calibration.model import Term
+
+
+def model(*ids: str, error: float) -> Any:
+    terms = tuple(Term(find_effect(i)) for i in ids)
+    return SimpleNamespace(study=SimpleNamespace(terms=terms), held_out=SimpleNamespace(rms_m=error))
+
+
+@pytest.mark.parametrize(
+    ("kind", "parts", "without", "fallen"),
+    [
+        ("absolute", Parts(perhaps=("constant",)), 100.5e-6, ("external_force",)),
+        ("absolute", Parts(perhaps=("constant",)), 95e-6, ("external_force",)),
+        ("absolute", Parts(perhaps=("constant",)), 102e-6, ()),
+        ("absolute", Parts(proven=("constant",)), 100.5e-6, ()),
+        ("absolute", None, 100.5e-6, ()),
+        ("loaded", Parts(perhaps=("constant",)), 100.5e-6, ()),
+    ],
+)
+def test_without_a_proven_part_a_name_has_to_lower_the_error_on_other_poses(
+    monkeypatch: pytest.MonkeyPatch, kind: str, parts: Parts | None, without: float, fallen: tuple[str, ...]
+) -> None:
+    asked: list[tuple[str, ...]] = []
+
+    def validated(session: object, terms: list[Term]) -> Any:
+        asked.append(tuple(t.effect.id for t in terms))
+        return model(*asked[-1], error=without)
+
+    monkeypatch.setattr(shown, "validated", validated)
+    known = {"joint_torsion": Parts(perhaps=("axis 1",))} | ({"external_force": parts} if parts else {})
+    assessment: Any = SimpleNamespace(names=("joint_torsion", "external_force"), parts=known)
+    after = model("joint_torsion", "external_force", error=100e-6)
+    session: Any = SimpleNamespace(kind=kind)
+    assert shown.unproven(session, assessment, after, lambda: None) == fallen
+    assert set(asked) <= {("joint_torsion",)}  # that axes give way is no question
+
+
+@pytest.mark.parametrize(("lost", "missed"), [(3.0, False), (30.0, True), (-5.0, False)])
+def test_parts_are_missed_where_the_fitted_model_explains_much_less_without_them(lost: float, missed: bool) -> None:
+    def fitted(log_evidence: float) -> Any:
+        posterior = SimpleNamespace(log_evidence=np.float64(log_evidence))
+        return SimpleNamespace(bench=SimpleNamespace(posterior=lambda block: posterior), base=None)
+
+    assert _missed(fitted(100.0), fitted(100.0 - lost), None) == missed
