@@ -18,7 +18,7 @@ import numpy as np
 
 from ..effects.formula import FormulaEffect, size_of_load
 from ..effects.scene import Scene
-from ..typing import Array
+from ..typing import Array, BoolArray
 from .candidates import block_columns
 from .directions import TYPICAL_DISPLACEMENT
 from .evidence import Block, Ground
@@ -231,6 +231,7 @@ def likeliest(
             some = of_target[first : first + at_once]
             family = _family(study, target, some, largest)
             gains, amplitudes = family.gains(ground)
+            gains[~_told_apart(family, ground, settings.laws.least_apart)] = -np.inf
             each = zip(gains, family.structures, amplitudes, some, strict=True)
             found += [_Found(float(g), s.words, float(a), len(f.terms)) for g, s, a, f in each if g >= settings.nats_to_name]
     out: list[tuple[FormulaEffect, Block, float]] = []
@@ -252,6 +253,23 @@ class _Found:
     text: str
     amplitude: float
     terms: int
+
+
+def _told_apart(family: Family, ground: Ground, least: float) -> BoolArray:
+    """Which laws have terms that the session tells from each other and from the springs, (k,): else large ones cancel where it
+    was measured, and under another load they do not.
+
+    Args:
+        least: share of its square that is left of any mixture of terms beside the model.
+    """
+    V, _ = ground.reduce(family.A)
+    out = np.empty(len(family.structures), dtype=bool)
+    for i, structure in enumerate(family.structures):
+        A, beside = family.A[:, structure.columns], V[:, structure.columns]
+        size = np.maximum(np.linalg.norm(A, axis=0), 1e-12)
+        left = (A.T @ A - beside.T @ beside) / size / size[:, None]
+        out[i] = np.linalg.eigvalsh(left)[0] > least
+    return out
 
 
 def _family(study: Study, target: Target, some: Sequence[Form], largest: float) -> Family:

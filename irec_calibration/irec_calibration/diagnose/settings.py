@@ -88,6 +88,10 @@ class LawThresholds(Thresholds):
     of_a_length: int = threshold(
         3, "laws", "of one number of terms that are tried", "a long one may go wrong where a short one holds",
     )  # fmt: skip
+    least_apart: float = threshold(
+        1e-4, "of the square of a law", "that no other term and no spring makes up for",
+        "with less, large terms cancel: on an outside simulator such a law doubled the error under other loads",
+    )  # fmt: skip
     poses_per_angle: float = threshold(
         6.0, "poses", "for each function of joint angles that a law has",
         "a pose says one value of it; on an outside simulator laws of two joints described 14 poses and no others",

@@ -122,3 +122,9 @@ def test_an_improved_model_predicts_a_cause_that_has_no_name(cause, law) -> None
 def test_a_law_that_no_line_holds_is_said_in_short(formula, said) -> None:
     law = FormulaEffect("law", formula)
     assert law.in_short == said and in_words(law) == f"the law '{said}'"
+
+
+def test_a_law_whose_terms_the_session_does_not_tell_apart_is_none(study: Study) -> None:
+    """The normal force has one sign and nearly one size: a curve of it has terms that cancel."""
+    formulas = [law.formula for law, _, _ in likeliest(study)]
+    assert formulas and not any("f_z * f_z * f_z" in formula for formula in formulas)
