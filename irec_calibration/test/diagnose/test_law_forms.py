@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import law_forms
+from irec_calibration.diagnose.evidence import Ground
 from irec_calibration.diagnose.held_out import validated
 from irec_calibration.diagnose.improve import improve
-from irec_calibration.diagnose.law_forms import NAMES, forms, likeliest, targets
+from irec_calibration.diagnose.law_forms import NAMES, _family, _told_apart, forms, likeliest, targets
 from irec_calibration.diagnose.run import start_terms
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.study import Study
@@ -124,7 +125,12 @@ def test_a_law_that_no_line_holds_is_said_in_short(formula, said) -> None:
     assert law.in_short == said and in_words(law) == f"the law '{said}'"
 
 
-def test_a_law_whose_terms_the_session_does_not_tell_apart_is_none(study: Study) -> None:
-    """The normal force has one sign and nearly one size: a curve of it has terms that cancel."""
-    formulas = [law.formula for law, _, _ in likeliest(study)]
-    assert formulas and not any("f_z * f_z * f_z" in formula for formula in formulas)
+@pytest.mark.parametrize(
+    ("words", "apart"), [("axis 1: a * tau * tau_5 / load", True), ("f_z * f_z * f_z / load / load", False)]
+)
+def test_terms_that_cancel_where_it_was_measured_are_no_law(study: Study, words: str, apart: bool) -> None:
+    """The normal force has one sign and nearly one size: the terms of a curve of it make up for each other."""
+    target = next(targets(study.ready))
+    some = [form for form in forms(study.ready, target) if words in form.text(target.name)][:1]
+    family = _family(study, target, some, np.inf)
+    assert _told_apart(family, Ground(study.bench, study.base), SETTINGS.laws.least_apart).tolist() == [apart]
