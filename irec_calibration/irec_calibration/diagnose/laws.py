@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Short laws that stand in for what has structure and no name, so that an improved model predicts it.
 
-They are the formulas that a diagnosis proposes, as far as they may be used without anybody looking at them: laws in proportion to
-the load that lower the error on held-out poses, also where whole regions of poses are held out. Others are left to people: a
-calibration presses with few forces, held-out poses with the same, and what happens between and beyond them no such test tells.
+They are formulas that a diagnosis proposes (`proposals.py`) and others (`law_forms.py`), as far as they may be used without anybody
+looking at them: laws in proportion to the load that lower the error on held-out poses, also where whole regions of poses are held
+out. Others are left to people: a calibration presses with few forces, held-out poses with the same, and what happens between and
+beyond them no such test tells.
 """
 
 from __future__ import annotations
@@ -70,33 +71,19 @@ def _best(
     session: Session, before: Validated, variables: Sequence[str], check: Callable[[], None], settings: Settings
 ) -> StandIn | None:
     """The likeliest law on top of a model that helps on held-out poses and regions of them."""
-    study = before.study.to_weigh
-    remainder = grow(study.bench, family_in_view(study), study.base)
-    if not remainder.structures:
-        return None
-    variables = list(dict.fromkeys([*variables, *(v for p in remainder.structures for v in p.structure.variables)]))
-    could = weighed(study, remainder, variables, check, settings)
-    if study.ready.kind == "loaded":
-        could += likeliest(study, check, settings)
-    could = sorted((one for one in could if _may(one[0], study.ready, settings)), key=lambda one: -one[2])
-    in_course = [p.log_evidence for p in remainder.structures if any(map(follows_course, p.structure.variables))]
-    least = settings.laws.beside_course * max(in_course, default=0.0)
-    present = {t.effect.id for t in before.study.terms}
+    plain = before.study  # where what stands out counts for nothing
     refitted = 0
-    for law, block, nats in could:
+    for law, block, nats in _likely(plain.to_weigh, variables, check, settings):
         check()
-        if nats < least and not {"time", "temperature"} & set(law.needs):
-            continue
-        plain = before.study  # where what stands out counts for nothing
         columns = replace(block, A=block_columns(plain, law, {})[0].A)
         if not helps_elsewhere(plain, plain.bench, plain.base + columns, settings):
             continue
         if refitted == settings.laws.refitted:
             break
         refitted += 1
-        effect = FormulaEffect(_id(law.formula, present), law.formula)
+        effect = FormulaEffect(_id(law.formula, {t.effect.id for t in plain.terms}), law.formula)
         try:
-            made = validated(session, (*before.study.terms, Term(effect)))
+            made = validated(session, (*plain.terms, Term(effect)))
         except SolveError:
             continue
         if made.study.fit.rms >= plain.fit.rms or made.held_out.rms_m > (1.0 - settings.laws.worth) * before.held_out.rms_m:
@@ -107,6 +94,29 @@ def _best(
         if helps_elsewhere(plain, again.bench, again.base, settings):
             return StandIn(effect, nats, made)
     return None
+
+
+def _likely(
+    study: Study, variables: Sequence[str], check: Callable[[], None], settings: Settings
+) -> list[tuple[FormulaEffect, Block, float]]:
+    """Laws that may stand in where structure is left beside a model, with their columns and evidence, the likeliest first.
+
+    Beside structure that follows time or a temperature, one that follows neither needs a share of its evidence.
+    """
+    remainder = grow(study.bench, family_in_view(study), study.base)
+    if not remainder.structures:
+        return []
+    variables = list(dict.fromkeys([*variables, *(v for p in remainder.structures for v in p.structure.variables)]))
+    could = weighed(study, remainder, variables, check, settings)
+    if study.ready.kind == "loaded":
+        could += likeliest(study, check, settings)
+    in_course = [p.log_evidence for p in remainder.structures if any(map(follows_course, p.structure.variables))]
+    least = settings.laws.beside_course * max(in_course, default=0.0)
+
+    def may(law: FormulaEffect, nats: float) -> bool:
+        return (nats >= least or bool({"time", "temperature"} & set(law.needs))) and _may(law, study.ready, settings)
+
+    return sorted((one for one in could if may(one[0], one[2])), key=lambda one: -one[2])
 
 
 def _share(study: Study, effect_id: str) -> float:
