@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Short laws that stand in for what has structure and no name, so that an improved model predicts it.
 
-They are formulas that a diagnosis proposes (`proposals.py`) and others (`law_forms.py`), as far as they may be used without anybody
-looking at them: laws in proportion to the load that lower the error on held-out poses, also where whole regions of poses are held
-out. Others are left to people: a calibration presses with few forces, held-out poses with the same, and what happens between and
-beyond them no such test tells.
+They are formulas that a diagnosis proposes (`proposals.py`) and others (`law_forms.py`), as far as they may be used without
+anybody looking at them: laws in proportion to the load that lower the error on held-out poses, also where whole regions of poses
+are held out. Others are left to people: a calibration presses with few forces, held-out poses with the same, and what happens
+between and beyond them no such test tells.
 """
 
 from __future__ import annotations
