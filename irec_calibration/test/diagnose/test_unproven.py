@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from irec_calibration.diagnose import shown
+from irec_calibration.diagnose.assessment import Assessment
 from irec_calibration.diagnose.part_sets import Parts
 from irec_calibration.diagnose.parts import _missed
 from irec_calibration.effects import find_effect
@@ -56,3 +58,21 @@ def test_parts_are_missed_where_the_fitted_model_explains_much_less_without_them
         return SimpleNamespace(bench=SimpleNamespace(posterior=lambda block: posterior), base=None)
 
     assert _missed(fitted(100.0), fitted(100.0 - lost), None) == missed
+
+
+@pytest.mark.parametrize(
+    ("names", "evidence", "one_of", "status"),
+    [
+        (("external_force", "joint_torsion"), (), (), "missing_effect"),
+        (("external_force",), ("repeats",), (), "unexplained"),
+        (("external_force",), (), (("creep", "joint_hysteresis"),), "unexplained"),
+        (("external_force",), (), (), "adequate"),
+    ],
+)
+def test_a_verdict_goes_by_the_names_that_are_left(
+    names: tuple[str, ...], evidence: tuple[str, ...], one_of: tuple[tuple[str, ...], ...], status: str
+) -> None:
+    unknown: dict[str, Any] = {f.name: None for f in fields(Assessment)}
+    whole = Assessment(**unknown | {"status": "missing_effect", "names": names, "evidence": evidence, "one_of": one_of})
+    left = whole.without_names(("external_force",))
+    assert (left.status, left.names, left.unproven) == (status, names[1:], ("external_force",))
