@@ -25,7 +25,8 @@ RAIL = 0.7
 FORMULAS = ("axis 3: c * tau**3", "axis 2: a * tanh(tau / b) + c * tau_g * tau", "tool z: c * abs(f_z)", "base x: c * b_y * x",
             "axis 1: c * tau_2 * ext_rail", "axis 5: c * q * f_x", "axis 4: c * sin(q)", "base z: v * t",
             "axis 3: tau_5 * (a + b * cos(q_4)) + c * tau * tau_5 / load",
-            "link 2b: c * tau * tau_2 / load", "axis 5: abs(f_x) * (a + b * clip(q, -0.5, 0.5)) * sign(tau_2) / min(load, 800)",
+            "axis 2: a * tanh(200 / abs(tau_3)) + b * tau", "link 2b: c * tau * tau_2 / load",
+            "axis 5: abs(f_x) * (a + b * clip(q, -0.5, 0.5)) * sign(tau_2) / min(load, 800)",
             "link 4a: a * load * (tanh((900 * tau / load + tau_g) / 200) - tanh(tau_g / 200)) + b * abs(tau)")  # fmt: skip
 NO_GRAVITY, DOWN, TILTED = (0.0, 0.0, 0.0), (0.0, 0.0, -9.81), (0.0, 6.9, -6.9)
 

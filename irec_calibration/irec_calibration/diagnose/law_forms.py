@@ -112,7 +112,7 @@ def _there(name: str, of: Sequence[str] | range, values: Array) -> tuple[Load, .
 
 def forms(scene: Scene, target: Target) -> Iterator[Form]:
     """All laws of a target."""
-    size = size_of_load(scene)
+    size = size_of_load(scene.force_in_tool, scene.torque_in_tool)
     waves = [_waves(scene, k) for k in range(scene.n_joints)]
     for load in target.loads:
         yield from _of_one_load(load, load.name in target.alone, size, waves)

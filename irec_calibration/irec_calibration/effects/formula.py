@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable
-from math import sqrt
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -168,8 +167,12 @@ class FormulaEffect(Effect):
         axis = turns if self._axis is not None else turns // 2
         column = f"joint_{axis + 1}{'' if self._axis is not None else 'ab'[turns % 2]}"
         constants = {**CONSTANTS, **dict(zip(self._names, (float(v) for v in theta), strict=True))}
+
+        def exact(values: Mapping[str, float]) -> float:
+            return float(self._evaluate({**values, **constants}))
+
         law = by_values(self._tree, constants)
-        return TurningLaw(self.formula, column, axis, scene.n_joints, self._read, law, size_of_wrench)
+        return TurningLaw(self.formula, column, axis, scene.n_joints, self._read, law, exact, size_of_load)
 
     def _counted_from(self) -> dict[str, float]:
         """Temperatures that are counted from one value: those that stand in a difference `temp_NAME - NUMBER`."""
@@ -235,7 +238,7 @@ class FormulaEffect(Effect):
             table |= {"tau": scene.tau_virtual[:, self._link], "tau_g": scene.gravity.tau_virtual[:, self._link]}
             table["q"] = scene.q[:, k]
         if "load" in self._read:
-            table["load"] = size_of_load(scene)
+            table["load"] = size_of_load(scene.force_in_tool, scene.torque_in_tool)
         for prefix, block in (("f_", scene.force_in_tool), ("b_", scene.force), ("", scene.p_tcp)):
             table |= {prefix + a: block[:, i] for i, a in enumerate("xyz")}
         table |= {f"temp_{n}": v for n, v in scene.temperature.items()} | {f"ext_{n}": v for n, v in scene.ext.items()}
@@ -263,15 +266,10 @@ class FormulaEffect(Effect):
             return walk(self._tree)
 
 
-def size_of_load(scene: Scene) -> Array:
-    """The variable `load`, (n,), N."""
-    force, torque = (np.linalg.norm(x, axis=1) for x in (scene.force_in_tool, scene.torque_in_tool))
-    return np.asarray(np.maximum(np.hypot(force, torque / LEVER), SMALLEST_LOAD))
-
-
-def size_of_wrench(force: Array, torque: Array) -> float:
-    """The variable `load` of one force and torque, (3,) each, N and N m."""
-    return max(sqrt(float(force @ force) + float(torque @ torque) / LEVER**2), SMALLEST_LOAD)
+def size_of_load(force: Array, torque: Array) -> Array:
+    """The variable `load`, (...), N, of forces and torques, (..., 3) each, N and N m."""
+    squared = (force * force).sum(axis=-1) + (torque * torque).sum(axis=-1) / LEVER**2
+    return np.asarray(np.maximum(np.sqrt(squared), SMALLEST_LOAD))
 
 
 def in_words(effect: Effect) -> str:

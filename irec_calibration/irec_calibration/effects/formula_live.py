@@ -34,16 +34,17 @@ class TurningLaw(ColumnLaw):
 
     def __init__(
         self, formula: str, column: str, axis: int, n_joints: int, names: Collection[str], angle: Callable[[Values], float],
-        size: Callable[[Array, Array], float],
+        exact: Callable[[Values], float], size: Callable[[Array, Array], Array],
     ) -> None:  # fmt: skip
         """
         Args:
             formula: for messages. column: that it turns, as `drives` or springs name it; axis: that it belongs to, from 0.
-            names: variables that it reads, each as `READ` says. angle: by their values, rad.
+            names: variables that it reads, each as `READ` says. angle: by their values, rad; exact: the same where that raises,
+                as at a division by 0, by the arithmetic that predictions have.
             size: the variable `load` of force and torque in tool0, (3,) each, N.
         """
         self.columns = (*(c for c in drives(n_joints) if c != column), column)
-        self._formula, self._angle, self._size = formula, angle, size
+        self._formula, self._angle, self._exact, self._size = formula, angle, exact, size
         own = len(self.columns) - 1
         place = {c: i for i, c in enumerate(self.columns)}
         of: dict[str, list[tuple[str, int]]] = {"tau": [], "tau_g": [], "q": []}
@@ -54,6 +55,9 @@ class TurningLaw(ColumnLaw):
         self._tau, self._tau_g, self._q = of["tau"], of["tau_g"], of["q"]
         self._force = [(name, "xyz".index(name[2])) for name in names if name.startswith("f_")]
         self._reads_size = "load" in names
+        none = np.zeros(3)
+        self._relaxed = dict.fromkeys([n for n, _ in (*self._tau, *self._force)], 0.0)
+        self._relaxed |= {"load": float(size(none, none))} if self._reads_size else {}
         self.needs_gravity = bool(self._tau_g)
         self._out = np.zeros(len(self.columns))
 
@@ -62,21 +66,18 @@ class TurningLaw(ColumnLaw):
         values |= {name: float(tick.tau_gravity[k]) for name, k in self._tau_g}
         pressed = {name: float(tau[i]) for name, i in self._tau} | {name: float(tick.force[i]) for name, i in self._force}
         if self._reads_size:
-            pressed["load"] = self._size(tick.force, tick.torque)
-        angle = self._at(values | pressed) - self._at(values | dict.fromkeys(pressed, 0.0) | self._unloaded())
+            pressed["load"] = float(self._size(tick.force, tick.torque))
+        angle = self._at(values | pressed) - self._at(values | self._relaxed)
         if not math.isfinite(angle):
             raise EffectError(f"formula '{self._formula}': not a finite number at the present joint angles and torques")
         self._out[-1] = angle
         return self._out
 
-    def _unloaded(self) -> dict[str, float]:
-        return {"load": self._size(np.zeros(3), np.zeros(3))} if self._reads_size else {}
-
     def _at(self, values: Values) -> float:
         try:
             return self._angle(values)
         except (ValueError, ZeroDivisionError, OverflowError):
-            return math.nan
+            return self._exact(values)
 
 
 def by_values(tree: ast.AST, constants: Values) -> Callable[[Values], float]:
