@@ -59,7 +59,7 @@ class Target:
     gravity: Array | None = None
 
 
-Term = tuple[str, str]  # a load, or what is in its place, and what it is multiplied by; empty: nothing
+Words = tuple[str, str]  # a load, or what is in its place, and what it is multiplied by; empty: nothing
 Wave = tuple[str, Array]  # a function of a joint angle as formulas write it, and its values, (n,)
 
 
@@ -67,7 +67,7 @@ Wave = tuple[str, Array]  # a function of a joint angle as formulas write it, an
 class Form:
     """One law: its terms without their parameters, and the values of each, (n,)."""
 
-    terms: tuple[Term, ...]
+    terms: tuple[Words, ...]
     values: tuple[Array, ...]
 
     @property
@@ -163,7 +163,7 @@ def _of_two_loads(one: Load, other: Load, size: Array) -> Iterator[Form]:
     ])  # fmt: skip
 
 
-def _form(parts: Sequence[tuple[Term, Array]]) -> Form:
+def _form(parts: Sequence[tuple[Words, Array]]) -> Form:
     return Form(tuple(term for term, _ in parts), tuple(values for _, values in parts))
 
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Short laws that stand in for what has structure and no name, so that an improved model predicts it.
 
-They are formulas that a diagnosis proposes (`proposals.py`) and others (`law_forms.py`), as far as they may be used without
-anybody looking at them: laws in proportion to the load that lower the error on held-out poses, also where whole regions of poses
-are held out. Others are left to people: a calibration presses with few forces, held-out poses with the same, and what happens
-between and beyond them no such test tells.
+They are formulas such as a diagnosis proposes (`proposals.py`, `law_forms.py`), as far as they may be used without anybody
+looking at them: laws in proportion to the load that lower the error on held-out poses, also where whole regions of poses are held
+out. Others are left to people: a calibration presses with few forces, held-out poses with the same, and what happens between and
+beyond them no such test tells.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from .candidates import block_columns
 from .directions import follows_course
 from .evidence import Bench, Block
 from .held_out import Validated, validated
-from .law_forms import likeliest
 from .level import family_in_view
 from .proposals import weighed
 from .remainder import grow
@@ -107,16 +106,13 @@ def _likely(
     if not remainder.structures:
         return []
     variables = list(dict.fromkeys([*variables, *(v for p in remainder.structures for v in p.structure.variables)]))
-    could = weighed(study, remainder, variables, check, settings)
-    if study.ready.kind == "loaded":
-        could += likeliest(study, check, settings)
     in_course = [p.log_evidence for p in remainder.structures if any(map(follows_course, p.structure.variables))]
     least = settings.laws.beside_course * max(in_course, default=0.0)
 
     def may(law: FormulaEffect, nats: float) -> bool:
         return (nats >= least or bool({"time", "temperature"} & set(law.needs))) and _may(law, study.ready, settings)
 
-    return sorted((one for one in could if may(one[0], one[2])), key=lambda one: -one[2])
+    return [one for one in weighed(study, remainder, variables, check, settings) if may(one[0], one[2])]
 
 
 def _share(study: Study, effect_id: str) -> float:

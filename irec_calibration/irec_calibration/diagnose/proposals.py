@@ -27,7 +27,7 @@ from .settings import SETTINGS, Settings
 from .study import Study, study_of
 
 MOST = 3
-MOST_TERMS = 4  # of a formula that people are to make something of
+MOST_TERMS = 3  # of a formula that people are to make something of
 HARMONICS = (1, 2, 3)
 OWN_HARMONICS = range(1, 13)  # of a gear's compliance with its own angle: some teeth carry worse than others
 XYZ = "xyz"
@@ -62,11 +62,8 @@ def proposals(
         remainder: what is left beside it.
         depends_on: session columns and `tau_k`, strongest first.
     """
-    likely = weighed(study, remainder, depends_on, check, settings)
-    if study.ready.kind == "loaded" and remainder.structures:
-        short = (one for one in likeliest(study, check, settings) if len(one[0].parameters(study.ready)) <= MOST_TERMS)
-        known = {effect.formula for effect, _, _ in likely}
-        likely = sorted((*likely, *(one for one in short if one[0].formula not in known)), key=lambda one: -one[2])
+    could = weighed(study, remainder, depends_on, check, settings)
+    likely = [one for one in could if _is_readable(one[0], study.ready)]
     before = held_out(study).rms_m if likely else 0.0
     out: list[Proposal] = []
     for effect, _, odds in likely:
@@ -82,11 +79,30 @@ def proposals(
     return tuple(out)
 
 
+def _is_readable(law: FormulaEffect, scene: Scene) -> bool:
+    """Whether people can make something of a law: it is short, and no law of an axis' whole torque that was written for another
+    size of force, which is among the others as it is."""
+    twice = law.formula.startswith("axis") and "load" in law.formula and "tau_g" in law.formula
+    return len(law.parameters(scene)) <= MOST_TERMS and not twice
+
+
 def weighed(
     study: Study, remainder: Remainder, depends_on: Sequence[str], check: Callable[[], None], settings: Settings = SETTINGS
 ) -> list[tuple[FormulaEffect, Block, float]]:
     """Formulas with the evidence that a name needs on top of a model, their columns, and that evidence in nats (the number of
-    formulas tried taken off), the likeliest first. Arguments as of `proposals`."""
+    formulas tried taken off), the likeliest first: laws in the variables that are asked about, and of a loaded session all that
+    are in proportion to the force. Arguments as of `proposals`."""
+    found = _in_variables(study, remainder, depends_on, check, settings)
+    if study.ready.kind == "loaded" and remainder.structures:
+        known = {effect.formula for effect, _, _ in found}
+        found += [one for one in likeliest(study, check, settings) if one[0].formula not in known]
+    return sorted(found, key=lambda one: -one[2])
+
+
+def _in_variables(
+    study: Study, remainder: Remainder, depends_on: Sequence[str], check: Callable[[], None], settings: Settings
+) -> list[tuple[FormulaEffect, Block, float]]:
+    """As `weighed`, of laws in the variables that are asked about, in any order."""
     turned = {p.structure.axis for p in remainder.structures if p.structure.axis is not None}
     written = list(dict.fromkeys([*_ripples(study, remainder), *_formulas(study.ready, depends_on, sorted(turned))]))
     if not written:
@@ -98,7 +114,6 @@ def weighed(
     for option in found:
         check()
         trials.append(try_option(ground, option, study.ready))
-    trials.sort(key=lambda t: -t.log_evidence)
     odds = [(effects[t.effect.id], t.best.block, t.log_evidence - log(len(written))) for t in trials]
     return [one for one in odds if one[2] >= settings.nats_to_name]
 

@@ -26,7 +26,7 @@ from .parts import parts_in, without_columns
 from .proposals import proposals
 from .questions import Question, questions
 from .result import Candidate, Diagnosis, Measurement
-from .shown import Shown, shown_of, unproven
+from .shown import Shown, shown_of
 from .study import Study, completed_study
 from .tool_weight import READ_AT_REFERENCES, Readings, reference_readings
 from .where import views
@@ -101,9 +101,7 @@ def examine(
     say(done.built, "weighing the evidence")
     relaxed = session.kind == "loaded" and session.contact is None  # references bear no force
     readings = reference_readings(study.ready, session.noise.force_n) if relaxed else None
-    assessment = assess(asked, built, readings, check)
-    shown = shown_of(session, first, assessment, check)
-    assessment = assessment.without_names(unproven(session, assessment, shown.after, check))
+    assessment, shown = shown_of(session, first, assess(asked, built, readings, check), check)
     say(done.weighed, "held-out error of each candidate")
     candidates = _candidates(assessment, readings, check)
     left_over = assessment.status == "unexplained" or assessment.remaining_m > 0.0

@@ -55,17 +55,21 @@ class Shown:
         return self.form_evidence > 0.0 and whole is not None and whole.held_out.rms_m < plain.held_out.rms_m
 
 
-def shown_of(session: Session, asked: Validated, assessment: Assessment, check: Callable[[], None]) -> Shown:
-    """Fit what an assessment has found to the session.
+def shown_of(
+    session: Session, asked: Validated, assessment: Assessment, check: Callable[[], None]
+) -> tuple[Assessment, Shown]:
+    """Fit what an assessment has found to the session; the assessment with the names that hold then, and the models.
 
     Args:
         session: as it was read; asked: the model that was asked about; check: raises where the work was cancelled.
     """
     shown = _named(session, asked, assessment, check)
+    assessment = assessment.without_names(unproven(session, assessment, shown.after, check))
     if assessment.status == "adequate":
-        return shown
+        return assessment, shown
     effects = stand_ins(session, assessment.built, shown.after, check)
-    return replace(shown, stand_ins=(*effects, *laws(session, assessment, effects[-1].model if effects else shown.after, check)))
+    found = laws(session, assessment, effects[-1].model if effects else shown.after, check)
+    return assessment, replace(shown, stand_ins=(*effects, *found))
 
 
 def unproven(session: Session, assessment: Assessment, after: Validated, check: Callable[[], None]) -> tuple[str, ...]:

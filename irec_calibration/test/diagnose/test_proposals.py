@@ -14,8 +14,9 @@ import synthetic
 from irec_calibration.cli import main
 from irec_calibration.diagnose import diagnose
 from irec_calibration.diagnose.improve import improve
-from irec_calibration.diagnose.proposals import _formulas
+from irec_calibration.diagnose.proposals import _formulas, _is_readable
 from irec_calibration.diagnose.result import Diagnosis
+from irec_calibration.effects.formula import FormulaEffect
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from irec_calibration.report.next_steps import after_diagnosis
@@ -104,3 +105,16 @@ def test_every_formula_that_may_be_proposed_can_be_read_by_the_command_that_adds
 def test_the_command_that_adds_the_best_formula_is_among_the_next_steps(found: Diagnosis) -> None:
     commands = [shlex.split(command) for _, command in after_diagnosis(found, "SESSION", "m.yaml") if command]
     assert ["irec", "add", "m.yaml", found.proposals[0].formula, "SESSION", "-o", "model_formula.yaml"] in commands
+
+
+@pytest.mark.parametrize(
+    ("formula", "is_readable"),
+    [
+        ("axis 1: a * tau * tau_5 / load", True),
+        ("link 4a: a * load * (tanh((900 * tau / load + tau_g) / 90) - tanh(tau_g / 90))", True),
+        ("axis 4: a * load * (tanh((900 * tau / load + tau_g) / 90) - tanh(tau_g / 90))", False),
+        ("axis 1: tau_5 * (a + b * cos(q_4) + c * sin(q_4)) + d * abs(tau_5)", False),
+    ],
+)
+def test_people_are_proposed_short_formulas_each_law_once(formula: str, is_readable: bool) -> None:
+    assert _is_readable(FormulaEffect("formula", formula), scene_of(synthetic.session(poses=3, seed=8))) == is_readable
