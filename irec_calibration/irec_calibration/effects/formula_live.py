@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A formula that turns an axis or tilts a link by torques, forces and angles, in the live correction: a tenth of the time of its
+"""A formula that turns an axis or tilts a link by torques, forces and angles, in the live correction: a thirtieth of the time of its
 `displacement`."""
 
 from __future__ import annotations
