@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A formula that turns an axis or tilts a link by torques, forces and angles, in the live correction: a thirtieth of the time of its
-`displacement`."""
+"""A formula that turns an axis or tilts a link by torques, forces and angles, in the live correction.
+
+Evaluated on single numbers, without arrays, in a thirtieth of the time of its `displacement` (`tools/bench/correction.py`, `law`).
+"""
 
 from __future__ import annotations
 
