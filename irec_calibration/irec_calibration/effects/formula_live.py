@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A formula that turns an axis or tilts a link by torques, forces and angles, in the live correction.
 
-Evaluated on single numbers, without arrays, in a thirtieth of the time of its `displacement` (`tools/bench/correction.py`, `law`).
+Evaluated on single numbers, without arrays: in a thirtieth of the time of `displacement` (`tools/bench/correction.py`, `law`).
 """
 
 from __future__ import annotations
