@@ -242,9 +242,8 @@ class FormulaEffect(Effect):
         for prefix, block in (("f_", scene.force_in_tool), ("b_", scene.force), ("", scene.p_tcp)):
             table |= {prefix + a: block[:, i] for i, a in enumerate("xyz")}
         table |= {f"temp_{n}": v for n, v in scene.temperature.items()} | {f"ext_{n}": v for n, v in scene.ext.items()}
-        used = {n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)}
-        for name in used:
-            if _is_variable(name) and name not in table:
+        for name in sorted(self._read):
+            if name not in table:
                 raise EffectError(f"formula '{self.formula}': '{name}' is not in this session; there are {', '.join(table)}")
         return table
 

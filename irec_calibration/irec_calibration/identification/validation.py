@@ -27,6 +27,8 @@ RIDGE = 1e-9  # relative to the diagonal entry: makes the solution unique along 
 # The same for parameters of absolute sessions that have a prior, for rounding only. There a station that turns moves the marker
 # by far more than what is asked about, and a ridge by its size would hold that back.
 ROUNDING = 1e-13
+LEAST_LEFT = 1e-6  # share of a pose's equations that all poses together do not fit because of it; below, rounding tells more
+AT_ONCE = 10_000_000  # numbers in the matrices that are solved together
 
 
 @dataclass(frozen=True)
@@ -77,13 +79,61 @@ def predicted_from_others(
         rounding: see `floored`.
     """
     G, h = A.T @ A, A.T @ b
-    parts = [A[rows] for rows in of_pose]
-    G_out = G - np.stack([a.T @ a for a in parts])
-    h_out = h - np.stack([a.T @ b[rows] for a, rows in zip(parts, of_pose, strict=True)])
-    x = solve_bounded_gram(G_out + np.diag(floored(precision, G, rounding)), h_out, lower, upper)
+    K = G + np.diag(floored(precision, G, rounding))
     out = np.empty_like(b)
-    for rows, a, values in zip(of_pose, parts, x, strict=True):
-        out[rows] = b[rows] - a @ values
+    known = _without_few(A, b, of_pose, K, h, lower, upper)
+    for rows, values in zip(of_pose, known, strict=True):
+        if values is not None:
+            out[rows] = values
+    others = [rows for rows, values in zip(of_pose, known, strict=True) if values is None]
+    at_once = max(AT_ONCE // K.size, 1)
+    for first in range(0, len(others), at_once):
+        some = others[first : first + at_once]
+        parts = [A[rows] for rows in some]
+        K_out = K - np.stack([a.T @ a for a in parts])
+        h_out = h - np.stack([a.T @ b[rows] for a, rows in zip(parts, some, strict=True)])
+        x = solve_bounded_gram(K_out, h_out, lower, upper)
+        for rows, a, values in zip(some, parts, x, strict=True):
+            out[rows] = b[rows] - a @ values
+    return out
+
+
+def _without_few(
+    A: Array, b: Array, of_pose: Sequence[IntArray], K: Array, h: Array, lower: Array, upper: Array
+) -> list[Array | None]:
+    """As `predicted_from_others` of poses with few equations, from the solution with all poses; None of those that it does not
+    tell, since without them other parameters stand at their bounds, or hardly anything else says what some are.
+
+    Equations that are taken out of a least-squares problem change its solution by their own rank only (Sherman, Morrison and
+    Woodbury; Cook and Weisberg 1982, "Residuals and Influence in Regression", 2.2).
+
+    Args:
+        K, h: normal equations with the priors, (p, p) and (p,).
+    """
+    out: list[Array | None] = [None] * len(of_pose)
+    of_length: dict[int, list[int]] = {}
+    for i, rows in enumerate(of_pose):
+        if 0 < len(rows) < len(h):
+            of_length.setdefault(len(rows), []).append(i)
+    if not of_length:
+        return out
+    x = solve_bounded_gram(K, h, lower, upper)
+    low, high = x <= lower, x >= upper
+    free, held = ~(low | high), (low | high) & (lower < upper)
+    residual, gradient = b - A @ x, K[held] @ x - h[held]
+    W = np.linalg.solve(K[np.ix_(free, free)], A[:, free].T).T
+    for places in of_length.values():
+        rows = np.array([of_pose[i] for i in places])
+        a, w = A[:, free][rows], W[rows]
+        left = np.eye(rows.shape[1]) - a @ w.transpose(0, 2, 1)
+        sure = np.linalg.eigvalsh(0.5 * (left + left.transpose(0, 2, 1)))[:, 0] > LEAST_LEFT
+        predicted = np.linalg.solve(np.where(sure[:, None, None], left, np.eye(rows.shape[1])), residual[rows][:, :, None])
+        change = -(w.transpose(0, 2, 1) @ predicted)[:, :, 0]
+        sure &= ((x[free] + change >= lower[free]) & (x[free] + change <= upper[free])).all(axis=1)
+        pull = gradient + change @ K[np.ix_(held, free)].T + (A[:, held][rows].transpose(0, 2, 1) @ predicted)[:, :, 0]
+        sure &= (np.where(low[held], pull, -pull) >= 0.0).all(axis=1)
+        for i, one, told in zip(places, predicted[:, :, 0], sure, strict=True):
+            out[i] = one if told else None
     return out
 
 
