@@ -47,7 +47,7 @@ def fitted(
         Cancelled: as asked for.
     """
     terms = tuple(_with_starts(t, observation) for t in completed(terms, observation))
-    loss, moved = np.inf, None
+    loss, moved, iterates = np.inf, None, False
     for _ in range(MAX_ITERATIONS):
         if cancelled is not None and cancelled():
             raise Cancelled("the fit was cancelled")
@@ -72,7 +72,8 @@ def fitted(
             # the step leads nowhere: at the minimum up to rounding, or stuck where the linearisation does not hold
             return terms, bool(_promised(system, now, step, prior_width) < 1e-3 * max(loss, 1.0))
         gained, loss, terms, moved = loss - new, new, tried, ahead
-        if taken == 1.0 and not _iterates(terms, observation):
+        iterates = iterates or _iterates(terms, observation)
+        if taken == 1.0 and not iterates:
             return terms, True
         if np.abs(taken * step).max() < CONVERGED * (1.0 + np.abs(x).max()) or gained <= settled * max(loss, 1e-30):
             return terms, True
