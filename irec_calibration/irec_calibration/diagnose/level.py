@@ -11,7 +11,7 @@ from scipy.special import fdtrc
 
 from ..identification.absolute import near_pairs
 from ..identification.marker_noise import at_level, by_marker
-from ..identification.noise import InferredNoise, level_of, pure_error
+from ..identification.noise import InferredNoise, counted_claim, level_of, pure_error
 from ..identification.observe import Observation
 from ..model import Term
 from ..typing import Array
@@ -193,8 +193,9 @@ def _follows_time(structure: Structure) -> bool:
 def level_beside(study: Study, remainder: Remainder, settings: Settings = SETTINGS) -> float:
     """Level of the noise that a model and a remainder leave, in units of the one that is assumed."""
     ground = Ground(study.bench, remainder.block)
-    dof = settings.noise_dof + max(len(study.bench.b) - ground.fitted, 0.0)
-    return float(np.sqrt((settings.noise_dof * study.bench.noise.scale**2 + ground.chi2) / dof))
+    dof = max(len(study.bench.b) - ground.fitted, 0.0)
+    believed = settings.noise_dof * counted_claim(study.bench.noise.scale**2, ground.chi2, dof)
+    return float(np.sqrt((believed + ground.chi2) / (settings.noise_dof + dof)))
 
 
 def repeats_of(study: Study, ground: Ground) -> Repeats:

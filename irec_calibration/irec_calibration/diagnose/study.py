@@ -15,6 +15,7 @@ from ..effects.scene import Scene
 from ..identification.absolute import completed, thinned
 from ..identification.gauss_newton import fitted
 from ..identification.identify import Fit, fit, keep_seated_anew, observe_with_force_noise
+from ..identification.noise import FARTHEST_CLAIM
 from ..identification.observe import Observation
 from ..identification.system import linearise
 from ..identification.validation import RIDGE, ROUNDING, floored
@@ -174,7 +175,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     first, _ = fitted(terms, observation, prior_width=own, settled=ROUGHLY)
     system = linearise(first, observation)
     owners = [terms[i].effect.id for i in system.owner]
-    believed = NoisePrior(scale=1.0 / observation.whiten.level)
+    believed = NoisePrior(scale=min(1.0 / observation.whiten.level, FARTHEST_CLAIM))
     rounding = ROUNDING if scene.kind == "absolute" else RIDGE
     bench = Bench(system.b, system.pose.astype(np.int64), believed, rounding)
     block = Block(system.A, system.lower, system.upper, _beside_softening(own, system.parameters, system.scale))

@@ -13,6 +13,8 @@ from ..session.data import Session
 from ..typing import Array, BoolArray, IntArray
 
 SMALL = 20  # rows together up to which all are inverted at once
+FARTHEST_CLAIM = 3.0  # times what is seen: a claimed noise counts as no larger than that
+ENOUGH_TO_DOUBT = 30  # equations to spare from which it does not
 SMALLEST_SIGMA_M = 1e-7  # a session that states no noise at all is weighted uniformly
 
 
@@ -235,6 +237,17 @@ class InferredNoise:
         return not self.low_m <= self.claimed_m <= self.high_m
 
 
+def counted_claim(squared: float, chi2: float, dof: float) -> float:
+    """A claimed variance as it counts beside what is seen: no farther above that than FARTHEST_CLAIM squared.
+
+    A claim counts as few equations, yet one that is thirty times too large would outweigh hundreds that show so.
+
+    Args:
+        squared: the claimed variance; chi2: squared residual in the same unit, of dof degrees of freedom.
+    """
+    return min(squared, FARTHEST_CLAIM**2 * max(chi2, 0.0) / dof) if dof >= ENOUGH_TO_DOUBT else squared
+
+
 def level_of(claimed_m: float, chi2: float, dof: float, source: str, prior_dof: float) -> InferredNoise:
     """The level of the noise after a sum of squares was seen (scaled inverse chi squared).
 
@@ -243,7 +256,7 @@ def level_of(claimed_m: float, chi2: float, dof: float, source: str, prior_dof: 
         prior_dof: how many degrees of freedom the claim counts.
     """
     total = prior_dof + max(dof, 0.0)
-    squares = prior_dof + max(chi2, 0.0)
+    squares = prior_dof * counted_claim(1.0, chi2, dof) + max(chi2, 0.0)
     low, high = (np.sqrt(squares / chdtri(total, p)) for p in (0.025, 0.975))
     inferred = np.sqrt(squares / total)
     return InferredNoise(
