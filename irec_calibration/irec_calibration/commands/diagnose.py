@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
 def in_words(result: Diagnosis) -> str:
     """The diagnosis for a terminal."""
-    lines = [textwrap.fill(f"{result.verdict.status.replace('_', ' ')}: {result.verdict.text}", WIDTH)]
+    lines = [textwrap.fill(f"{result.verdict.in_short}: {result.verdict.text}", WIDTH)]
     shown = sorted(result.candidates, key=lambda c: (c.effect not in result.verdict.effects, -c.log_evidence))[:SHOWN]
     if shown:
         lines += ["", f"{'candidate, best evidence first':31} {'trial um':>12} {'+-':>6} {'log odds':>9}  where it acts"]

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         said = {"report": str(files[0]), "verdict": result.verdict.status, "effects": list(result.verdict.effects)}
         print(json.dumps({**said, "files": [str(f) for f in files]}))
     else:
-        print(f"{result.verdict.status.replace('_', ' ')}; wrote {files[0]}")
+        print(f"{result.verdict.in_short}; wrote {files[0]}")
         if driven:
             print(in_words(driven))
         print(in_lines(after_diagnosis(result, args.session, args.model or "")))

@@ -8,15 +8,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..errors import SolveError
 from ..identification.identify import fit, observe_with_force_noise
 from ..identification.provenance import model_of
 from ..identification.validation import FEWEST_POSES, HeldOut, held_out_error
+from ..lengths import length
 from ..model import Model, Term
 from ..session.data import Session
 from .apart import set_apart
 from .evidence import Block
 from .remainder import Remainder
 from .study import Study, prepare, study_of
+
+MOST_ABOVE_PROMISED = 3.0  # times the held-out error of the linear problem that a fit may leave
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,22 @@ def only_good_poses(found: HeldOut, study: Study, remainder: Remainder) -> HeldO
     return replace(found, poses=found.poses[keep], loss=found.loss[keep]) if keep.sum() >= FEWEST_POSES else found
 
 
+def fitted_truly(made: Validated) -> Validated:
+    """The same, where the true residual is about what the linear problem promises.
+
+    Raises:
+        SolveError: it is far above: no values that were found are those of a minimum, and no figure says anything.
+    """
+    left, promised = made.study.fit.rms, made.held_out.rms_m
+    if left > MOST_ABOVE_PROMISED * promised:
+        raise SolveError(
+            f"{made.study.session.name}: the model could not be fitted: it leaves {length(left)} where its linear problem"
+            f" promises {length(promised)} (at most {MOST_ABOVE_PROMISED:g} times that is expected); check masses and centres of"
+            " mass of the robot description and the payload (kg, m), and the units of joints, forces and markers"
+        )
+    return made
+
+
 def validated(session: Session, terms: Sequence[Term]) -> Validated:
     """Fit a model to a session and hold out each pose, as ESTIMATOR says; nothing counts but the session and the terms.
 
@@ -81,7 +101,7 @@ def solved(session: Session, terms: Sequence[Term]) -> tuple[Model, tuple[str, .
     Raises:
         SolveError: the session can't determine it; says what is missing.
     """
-    made = validated(session, terms)
+    made = fitted_truly(validated(session, terms))
     study, result = made.study, made.study.fit
     whole = observe_with_force_noise(session, terms) if session.kind == "absolute" else study.observation
     if len(whole.rows) != len(study.observation.rows):  # models are compared on fewer poses than there are

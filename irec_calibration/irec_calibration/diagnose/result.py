@@ -70,6 +70,7 @@ class Verdict:
         confident: the first name stands alone; otherwise others explain the session as well.
         parts: of each named effect that acts in axes or directions: which of them the session proves. An axis that is not
             among the proven ones is not to be acted upon.
+        too_few: there are too few poses or equations to judge a model: `adequate` says nothing then.
     """
 
     status: str
@@ -85,6 +86,12 @@ class Verdict:
     usual: tuple[str, ...] = ()
     hidden_m: float = 0.0
     parts: dict[str, Parts] = field(default_factory=dict)
+    too_few: bool = False
+
+    @property
+    def in_short(self) -> str:
+        """What a line or a title begins with."""
+        return "too few data to judge" if self.too_few and self.status == "adequate" else self.status.replace("_", " ")
 
 
 @dataclass(frozen=True)
@@ -214,6 +221,7 @@ class Diagnosis:
                 "one_of": [list(s) for s in v.one_of],
                 "usual": list(v.usual),
                 "hidden_m": v.hidden_m,
+                **({"too_few": True} if v.too_few else {}),
                 "parts": parts_json(v.parts),
                 "cv_rms_after_m": self.cv_rms_after_m,
             },

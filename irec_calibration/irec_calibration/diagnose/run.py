@@ -20,7 +20,7 @@ from .assessment import Assessment, assess, bad_luck, p_value
 from .bad_readings import one_note_each, rows_json
 from .candidates import Trial
 from .comparison import compare_observed
-from .held_out import held_out, validated
+from .held_out import fitted_truly, held_out, validated
 from .next_poses import next_measurements
 from .parts import parts_in, without_columns
 from .proposals import proposals
@@ -91,7 +91,7 @@ def examine(
             raise Cancelled("the diagnosis was cancelled")
 
     say(0.0, "fitting the model")
-    first = validated(session, model.terms if model else start_terms(session))
+    first = fitted_truly(validated(session, model.terms if model else start_terms(session)))
     asked = first.study.to_weigh
     check()
     study = completed_study(asked)

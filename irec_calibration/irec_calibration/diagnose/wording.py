@@ -10,6 +10,7 @@ import numpy as np
 from ..effects import find_effect
 from ..effects.formula import in_words
 from ..identification.noise import InferredNoise
+from ..identification.provenance import too_few
 from ..lengths import length
 from ..typing import Json
 from .assessment import Assessment
@@ -21,7 +22,6 @@ from .shown import Shown
 from .study import Study
 from .tool_weight import READ_AT_REFERENCES
 
-FEW_POSES = 5
 SETS_SHOWN = 3  # sets of axes in a sentence
 ROWS_SHOWN = 4
 
@@ -56,7 +56,8 @@ def verdict_of(
         parts.append("Nothing in this session loads the model: it can't identify anything.")
     if assessment.status == "missing_effect" and assessment.names:
         parts += _missing(assessment, shown, candidates)
-    if assessment.status == "adequate":
+    few = too_few(study.fit)
+    if assessment.status == "adequate" and not few:
         parts.append(f"Nothing shows any other cause than noise{' and what every robot has' if assessment.usual else ''}.")
     parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
     evidence = assessment.evidence
@@ -76,9 +77,9 @@ def verdict_of(
     parts += _misplaced(assessment.study)
     parts += _noise(assessment.noise)
     parts += _bad_rows(assessment)
-    if assessment.status == "adequate":
+    if assessment.status == "adequate" and not few:
         parts += _could_hide(assessment)
-    else:
+    elif assessment.status != "adequate":
         repeating = study.observation.repeating
         parts += [f"{repeating[0].upper()}{repeating[1:]}."] if repeating else []
     if weight and assessment.readings is not None:
@@ -93,11 +94,11 @@ def verdict_of(
     parts += _rivals_apart(assessment, planned)
     if assessment.status == "missing_effect":
         parts += _apart(assessment, planned)
-    if poses < FEW_POSES or study.fit.dof < study.fit.rank:
+    if few:
         cases = len(np.unique(study.session.load_case[study.observation.rows]))
         parts.append(
             f"{poses} pose(s) with {cases} load case(s) determine {study.fit.rank} combinations of parameters with"
-            f" {study.fit.dof} equations to spare: too little to find a missing effect. Measure more poses."
+            f" {study.fit.dof} equations to spare: too little to judge a model, or to find a missing effect. Measure more poses."
         )
     return Verdict(
         status=assessment.status,
@@ -112,6 +113,7 @@ def verdict_of(
         one_of=assessment.one_of,
         usual=assessment.usual,
         hidden_m=assessment.hidden_m,
+        too_few=few,
         parts={i: p for i, p in assessment.parts.items() if i in assessment.names},
     )
 

@@ -4,16 +4,20 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Iterator
 
 import numpy as np
 
 from .. import __version__
+from ..lengths import length
 from ..model import Envelope, Model
 from ..typing import Json
 from .absolute import held_geometry
 from .identify import Fit
-from .validation import ESTIMATOR, HeldOut
+from .validation import ESTIMATOR, HeldOut, rms
 
+FEW_POSES = 5  # below which nothing is said of a model but what it leaves
+MOST_LEFT, FAR_ABOVE_NOISE = 0.3, 3.0  # of the deflection, and times the noise: a model that leaves more says little
 GUESSED = (
     "the link masses of the robot description are guesses: of each compliance only its product with the masses that load "
     "it is known; deflection under gravity is what was measured, deflection under a process force is not to be predicted "
@@ -51,7 +55,7 @@ def model_of(result: Fit, *, held_out: HeldOut | None = None, parent: str = "") 
             **_sag_share(result),
             **({"without_tracker": True} if session.contact is not None else {}),
             **({"held_at_zero": list(held)} if held else {}),
-            **({"caution": GUESSED} if _rests_on_guesses(result) else {}),
+            **({"caution": caution} if (caution := "; ".join(_cautions(result))) else {}),
         },
         figures={
             "fit_rms_m": result.rms,
@@ -92,6 +96,31 @@ def instruments(result: Fit) -> Json:
         if term.effect.registers:
             out |= term.effect.placed(result.observation.session, {n: e.value for n, e in term.estimates.items()})
     return out
+
+
+def _cautions(result: Fit) -> Iterator[str]:
+    """What to think of before a model is used."""
+    if _rests_on_guesses(result):
+        yield GUESSED
+    observation = result.observation
+    if too_few(result):
+        yield (
+            f"{len(observation.poses)} pose(s) determine {result.rank} combinations of parameters with {result.dof} equations to"
+            " spare: nothing tells how it predicts other poses; measure more"
+        )
+    if observation.session.kind != "loaded":
+        return
+    whole = rms(observation.y)
+    if result.rms > MOST_LEFT * whole and result.rms > FAR_ABOVE_NOISE * observation.whiten.floor:
+        yield (
+            f"it leaves {length(result.rms)} of a deflection of {length(whole)} (at most {100.0 * MOST_LEFT:.0f} % is expected):"
+            " something is wrong with the session, or much is missing; see irec diagnose before it is used"
+        )
+
+
+def too_few(result: Fit) -> bool:
+    """Whether a session has too few poses or equations for its model to be judged."""
+    return len(result.observation.poses) < FEW_POSES or result.dof < result.rank
 
 
 def _rests_on_guesses(result: Fit) -> bool:

@@ -29,6 +29,7 @@ STATUS = {
     "missing_effect": "An effect is missing",
     "unexplained": "There is structure that no effect explains",
 }
+TOO_FEW = "Too few data to judge a model"
 SHOWN = 12
 MOST_AGAINST = 4
 
@@ -50,7 +51,7 @@ def write_diagnosis_report(
     v = diagnosis.verdict
     hero = _hero(diagnosis, session, folder)
     page = Page(
-        title=f"{STATUS[v.status]}: {session.name}",
+        title=f"{TOO_FEW if v.too_few and v.status == 'adequate' else STATUS[v.status]}: {session.name}",
         subtitle=f"Robot {session.serial or 'without serial'}, model {' + '.join(diagnosis.model.effects)}, "
         f"{len(session.poses)} poses, {len(diagnosis.comparison.rows)} samples",
         verdict=v.text,
@@ -86,11 +87,12 @@ def _hero(d: Diagnosis, session: Session, folder: Path) -> Figure:
     elif v.status == "unexplained":
         title = f"The model leaves {length(rows[0][1])}, the noise explains {length(floor)}"
         rows += [("with the best formula", p.cv_rms_m, p.cv_rms_se_m) for p in d.proposals[:1]]
-    elif v.usual:
+    elif v.usual and not v.too_few:
         title = "Noise and what every robot has explain what the model leaves"
         rows += [("with what every robot has", d.cv_rms_after_m, d.cv_rms_se_after_m)]
     else:
-        title = "What the model leaves is what the noise explains" if v.status == "adequate" else "Error and noise"
+        enough = v.status == "adequate" and not v.too_few
+        title = "What the model leaves is what the noise explains" if enough else "Error and noise"
     return Figure(models.gap(rows, floor, folder / "verdict.png", title), f"{title}. Estimator: {ESTIMATOR}.")
 
 

@@ -63,6 +63,8 @@ def after_diagnosis(d: Diagnosis, session: str, model: str = "", *, without_trac
             if not model:
                 steps.append(("Identify the model that was diagnosed:", _solve(d, s)))
             steps.append(("Try the formula that describes it best; it names no cause:", _formula(d, model or "model.yaml", s)))
+    elif v.too_few:
+        steps.append(("Too few data to judge a model. Plan more poses, measure them, and diagnose again:", "irec plan CELL"))
     else:
         doubt = instruments_first(d.noise)
         steps += doubt

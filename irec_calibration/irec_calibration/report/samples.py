@@ -108,7 +108,7 @@ def residual_maps(
         poses = np.unique(poses)
         titles = [f"{t}, mean of each pose" for t in titles]
     centred = p_tcp - p_tcp.mean(axis=0)
-    _, _, directions = np.linalg.svd(centred, full_matrices=False)
+    directions = np.linalg.svd(centred.T @ centred)[2]  # all three, also of a single pose
     across = directions[:2] * np.sign(directions[:2].sum(axis=1, keepdims=True))
     xy = centred @ across.T
     largest = max(max(float(np.linalg.norm(r, axis=1).max()) for r in residuals), 1e-12)

@@ -71,6 +71,13 @@ def test_nothing_is_drawn_of_a_commanded_motion_that_is_not_there(tmp_path, recw
     assert [str(w.message) for w in recwarn if issubclass(w.category, UserWarning)] == []
 
 
+@pytest.mark.parametrize("rows", [1, 4])
+def test_a_map_of_one_pose_is_drawn(tmp_path, rows):
+    one = np.tile([1.0, 0.2, 0.7], (rows, 1))
+    path = samples.residual_maps(one, [1e-5 * one], ["Residual"], tmp_path / "m.png", poses=np.ones(rows, dtype=int))
+    assert path.read_bytes().startswith(PNG)
+
+
 def test_a_map_of_many_samples_draws_one_arrow_for_each_pose(tmp_path):
     many = np.random.default_rng(0).normal(size=(900, 3))
     path = samples.residual_maps(many, [1e-5 * many], ["Residual"], tmp_path / "m.png", poses=np.repeat(np.arange(90), 10))
