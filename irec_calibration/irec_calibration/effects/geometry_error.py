@@ -19,6 +19,7 @@ from .traits import Cause, Family
 
 # Largest of robots after their geometric calibration, RMS over the parameters of a fit; chosen: twice what was found of such
 USUAL_M, USUAL_RAD = 0.6e-3, 0.6e-3
+ORDER = [3, 0, 1, 2, 4, 5]  # of the parameters of a joint among translation, zero, tilts
 
 
 class GeometryError(Effect):
@@ -75,29 +76,28 @@ class GeometryError(Effect):
             return self._first_order(scene)
         n, nk = scene.q.shape
         p = scene.p_observed
-        twist = np.empty((n, 3, nk, 6))  # by translation and rotation vector in the joint's frame
+        out = np.empty((n, 3, nk, 6))
         turns = np.empty((nk, n, 3, 3))  # of what is beyond a joint, by its change
+        by_own = np.empty((nk, n, 3, 6))  # translation, then zero and tilts, as if no joint before it had changed
+        axis, virtual = scene.arm.axis_in_joint, scene.kin.virtual_in_joint
         for k, t, w in reversed(self._joint_changes(scene, theta)):
             R = scene.kin.R_joint[:, k]
             E = Rotation.from_rotvec(w).as_matrix()
             turns[k] = R @ E @ np.swapaxes(R, 1, 2)
-            local = np.einsum("nji,nj->ni", R, p - scene.kin.origin[:, k])
-            turned = local @ E.T
-            by_w = np.swapaxes(np.cross(left_jacobian(w).T[None], turned[:, None, :]), 1, 2)
-            twist[:, :, k, :3] = R
-            twist[:, :, k, 3:] = R @ by_w
-            p = self._moved(scene, k, p, t, w)
+            turned = np.einsum("nji,nj->ni", R, p - scene.kin.origin[:, k]) @ E.T
+            ways = left_jacobian(w) @ np.stack([axis[k], *virtual[k]], axis=1)
+            by_own[k, :, :, :3] = R
+            by_own[k, :, :, 3:] = R @ -(_crossing(turned).reshape(-1, 3) @ ways).reshape(n, 3, 3)
+            if scene.kin.is_prismatic[k]:
+                by_own[k, :, :, 3] = R @ axis[k]
+            p = scene.kin.origin[:, k] + np.einsum("nij,nj->ni", R, turned + t)
+        out[:, :, 0] = by_own[0][..., ORDER]
         for k in range(1, nk):  # what a joint does is turned by the changes of all before it
+            out[:, :, k] = (turns[k - 1] @ by_own[k])[..., ORDER]
             turns[k] = turns[k - 1] @ turns[k]
-            twist[:, :, k] = turns[k - 1] @ twist[:, :, k]
-        axis, virtual, prismatic = scene.arm.axis_in_joint, scene.kin.virtual_in_joint, scene.kin.is_prismatic
-        out = np.empty((n, 3, nk, 6))
-        out[..., 1:4] = twist[..., :3]
-        along = np.where(prismatic[None, None, :, None], twist[..., :3], twist[..., 3:])
-        zero = np.einsum("nikj,kj->nik", along, axis)
         follow = _following(scene)
-        out[..., 0] = zero if follow is None else np.einsum("nik,nkl->nil", zero, follow)
-        out[..., 4:6] = np.einsum("nikj,kvj->nikv", twist[..., 3:], virtual)
+        if follow is not None:
+            out[..., 0] = np.einsum("nik,nkl->nil", out[..., 0], follow)
         return out.reshape(n, 3, 6 * nk) * scene.moves_with_arm[:, None, None]
 
     def is_usual(self, values: Mapping[str, float], share: float) -> bool:
@@ -156,6 +156,13 @@ class GeometryError(Effect):
         out[..., 1:4] = np.swapaxes(scene.kin.R_joint, 1, 2) * scene.moves_with_arm[:, None, None, None]
         out[..., 4:6] = scene.V.reshape(n, 3, k, 2)
         return out.reshape(n, 3, 6 * k)
+
+
+def _crossing(v: Array) -> Array:
+    """Matrices of the products v x, (n, 3, 3), of vectors (n, 3)."""
+    out = np.zeros((len(v), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    return np.asarray(out - np.swapaxes(out, 1, 2))
 
 
 def _by_geometry(scene: Scene) -> Array | None:
