@@ -102,7 +102,8 @@ class Line:
         if seen is not None:
             self.streams.add_marker(now, *seen[1].tolist(), seen[0])
         if steps % TICK == 0:
-            sent = self.robot.tick(now, positions, (now, wrench[:3]))
+            self.robot.report(now, now, positions)
+            sent = self.robot.tick(now, (now, wrench[:3]))
             if sent is not None:
                 self.on_the_way.append((now + self.delay, sent))
             self.procedure.watch.robot_said(self.robot.mode, self.robot.retreating, self.robot.message)
