@@ -7,8 +7,7 @@ import math
 from dataclasses import dataclass, fields
 
 from ..errors import IrecError
-
-LONGEST_LEASE = 2.0  # s, by the contract: for so long a robot presses on after whoever asked for it has died
+from ..procedure.commands import LONGEST_LEASE
 
 
 @dataclass(frozen=True)

@@ -33,10 +33,11 @@ from ..cell import read_cell
 from ..drivers.moves import Planner
 from ..drivers.position_robot import FAULT, WRENCH_LOST, PositionRobot
 from ..drivers.sensor import RawReadings
-from ..drivers.settings import LONGEST_LEASE, Settings
+from ..drivers.settings import Settings
 from ..drivers.wrench import ProcessWrench
 from ..errors import CellError, IrecError
 from ..procedure.axes import read_axes
+from ..procedure.commands import LONGEST_LEASE
 from ..sensors.tool_load import ToolLoad
 from .driver_commands import DriverCommands
 from .orderly_end import work_until_ended
