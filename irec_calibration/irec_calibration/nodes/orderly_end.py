@@ -41,15 +41,17 @@ def work_until_ended(node: Driver, asked: threading.Event) -> None:
     Args:
         asked: set by the first signal.
     """
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as nohup leaves it
-        signal.signal(signal.SIGHUP, lambda *_: asked.set())
+    again = threading.Event()
+
+    def ask(*_: object) -> None:
+        (again if asked.is_set() else asked).set()
+
+    for number in SIGNALS:
+        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup leaves SIGHUP
+            signal.signal(number, ask)
     executor = EventsExecutor()
     executor.add_node(node)  # type: ignore[arg-type]
     spin_until(asked, executor.spin_once)
-    again = threading.Event()
-    for number in SIGNALS:
-        if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, lambda *_: again.set())
     node.end()
     until = time.monotonic() + longest_end(node.robot)
     spin_until(again, executor.spin_once, 0.05, lambda: node.robot.at_rest or time.monotonic() > until)
