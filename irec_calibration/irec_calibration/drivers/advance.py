@@ -17,6 +17,7 @@ from .settings import Settings
 
 SOFTEST = 0.1  # of contact_stiffness: less is no contact (the true one is at most 4 times softer)
 PRESSES = 0.2  # of the set point: a force from which on force control began in contact; less may be bias that was not removed
+OF = 3  # readings, of which the middle one counts: a single one that is wrong says nothing
 SMOOTHED = 0.05  # s, time constant of the force that is judged
 STEP = 0.25  # of `advance`: what is looked at for a rise
 FELL_WITHIN = 0.3  # s
@@ -29,6 +30,7 @@ class AdvanceWatch:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._least = SOFTEST * settings.contact_stiffness  # N/m
+        self._newest: deque[Array] = deque(maxlen=OF)
         self._force: Array | None = None  # smoothed
         self._way: float | None = None  # along tool z, m, smoothed as the force is
         self._share = 1.0  # of what is new in this tick
@@ -41,10 +43,12 @@ class AdvanceWatch:
 
     def read(self, dt: float, force: Array) -> None:
         """A tick of dt s with this force, in any control mode."""
+        self._newest.append(force)
+        usual = np.median(self._newest, axis=0)
         if self._force is None:
-            self._force = force.copy()
+            self._force = usual
         self._share = 1.0 - math.exp(-dt / SMOOTHED)
-        self._force = self._force + self._share * (force - self._force)
+        self._force = self._force + self._share * (usual - self._force)
 
     def begin(self, asked: Array) -> None:
         """Force control begins; asked: its set point."""

@@ -122,6 +122,18 @@ def test_an_approach_with_a_hose_creep_and_sliding_at_the_set_point_are_no_reaso
     assert not press.robot.message and press.robot.mode == FORCE
 
 
+@pytest.mark.parametrize("seconds", [0.3, 4.0])
+def test_a_single_reading_that_is_wrong_is_no_reason_to_leave(seconds: float) -> None:
+    press = Press()
+    press.press((0.0, 0.0, -500.0), seconds)
+    for wrong in ([0.0, 0.0, -1200.0], [0.0, 0.0, 0.0]):
+        press.held = np.array(wrong)
+        press.tick((0.0, 0.0, -500.0))
+        press.held = None
+        press.run(2.0, (0.0, 0.0, -500.0))
+    assert not press.robot.message and press.robot.mode == FORCE
+
+
 def test_without_a_new_wrench_the_robot_leaves_the_contact() -> None:
     press = Press()
     press.press((0.0, 0.0, -500.0))
