@@ -105,6 +105,7 @@ def operator(ros_domain: int, start_process: Start, tmp_path: Path) -> Iterator[
     rclpy.init()
     made = Operator()
     made.until(lambda: made.state is not None and made.joints and np.isfinite(made.force).all(), "driver")
+    made.until(lambda: not made.state.message, "driver that knows where the robot stands")
     yield made
     made.node.destroy_node()
     rclpy.try_shutdown()

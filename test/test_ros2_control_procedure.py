@@ -72,6 +72,9 @@ class Line:
         self.on_the_way: deque[tuple[float, np.ndarray]] = deque()
 
     def run(self) -> None:
+        while self.robot.waits:  # until it is known where the robot stands
+            self._tell_robot(*self.plant.joints())
+            self.plant.step()
         self.procedure.watch.robot_said(self.robot.mode)
         self.procedure.start()
         steps = 0
@@ -102,10 +105,14 @@ class Line:
         if seen is not None:
             self.streams.add_marker(now, *seen[1].tolist(), seen[0])
         if steps % TICK == 0:
-            sent = self.robot.tick(now, positions, (now, wrench[:3]))
+            self._tell_robot(q, rail)
+            sent = self.robot.tick(now, (now, wrench[:3]))
             if sent is not None:
                 self.on_the_way.append((now + self.delay, sent))
             self.procedure.watch.robot_said(self.robot.mode, self.robot.retreating, self.robot.message)
+
+    def _tell_robot(self, q: np.ndarray, rail: float) -> None:
+        self.robot.report(self.plant.time, self.plant.time, np.array([*q, rail]))
 
     def _carry_out(self, command: Any) -> None:
         now = self.plant.time

@@ -8,13 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from .cell import FORCE, POSITION, Cell
+from .errors import SimError
 from .kinematics import Array, forward
 from .motion import Move, linear_move
+
+LONGEST = 2.0  # s for which a force set point may hold, by the contract
 
 
 @dataclass(frozen=True)
 class LeaseSettings:
-    """hold: s for which a set point holds without coming again; 0: for ever, as a driver without the switch does.
+    """hold: s for which a set point holds without coming again, LONGEST at most; 0: for ever, as without the switch.
 
     ramp: s, from the last set point to none. leave: s within which a move has to begin once the robot was switched to position
     control and touches; touch: N, a force from which on it does. distance: m, way back along tool0 z, at speed m/s.
@@ -26,6 +29,12 @@ class LeaseSettings:
     touch: float = 20.0
     distance: float = 0.02
     speed: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.hold <= LONGEST:  # no number is neither
+            raise SimError(
+                f"a force set point holds for {self.hold:g} s, 0 (for ever) to {LONGEST:g} s are possible by the contract"
+            )
 
 
 class ForceLease:

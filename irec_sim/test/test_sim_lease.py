@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from irec_sim.cell import FORCE, POSITION, Cell
 from irec_sim.cellfile import read_cell
+from irec_sim.errors import SimError
 from irec_sim.kinematics import Array, inverse
 from irec_sim.lease import ForceLease, LeaseSettings
 from irec_sim.motion import Move
@@ -122,3 +123,9 @@ def test_without_contact_a_switch_to_position_control_asks_for_no_move() -> None
     lease.left_force_control()
     _, way_back = let_run_out(cell, lease, 3.0)
     assert way_back is None and lease.expired == 0
+
+
+@pytest.mark.parametrize("hold", [30.0, -1.0, float("nan"), float("inf")])
+def test_a_time_for_which_no_set_point_may_hold_is_refused(hold: float) -> None:
+    with pytest.raises(SimError, match="to 2 s are possible by the contract"):
+        LeaseSettings(hold=hold)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..procedure.commands import LONGEST_LEASE
 from ..procedure.plausible import what_is_read
 from ..typing import Array
 from .observed import Answer, Item, Observation, Stream
@@ -118,9 +119,9 @@ def _lease(p: Pressing) -> Iterator[Item]:
     advice = "take the force down and draw the tool back when no set point comes for force_lease; see the contract"
     yield _item(
         "force_lease",
-        0.0 < p.lease <= 2.0,
+        0.0 < p.lease <= LONGEST_LEASE,
         f"{p.lease:g} s",
-        "0 to 2 s",
+        f"above 0, {LONGEST_LEASE:g} s at most",
         "give the driver a dead man's switch and say its time in SetControlMode",
     )
     force, state = p.after.streams.get("wrench"), p.after.streams.get("robot/state")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a robot follows the positions that are sent to it."""
+"""Whether a robot follows the positions that are sent to it, and whether they are such that it can."""
 
 from __future__ import annotations
 
@@ -30,6 +30,17 @@ class Following:
     def sent(self, now: float, positions: Array) -> None:
         """Such positions were sent."""
         self._sent.append((now, positions))
+
+    def leap(self, send: Array, reported: Array, allowed: Array) -> str:
+        """Why these positions (k,) must not be sent: more than `allowed` (k,) from the last ones, or from where the robot is."""
+        last = self.last
+        start = reported if last is None else last
+        fits = np.abs(send - start) <= allowed  # False for what is no number
+        if fits.all():
+            return ""
+        k = int(np.argmin(fits))
+        where = "reported" if last is None else "sent last"
+        return f"axis {k + 1} would be sent to {send[k]:.4g}, {start[k]:.4g} was {where}, {allowed[k]:.3g} apart is the limit"
 
     def problem(self, now: float, reported: Array) -> str:
         """Why the robot does not follow; empty where it does, or nothing is known yet."""

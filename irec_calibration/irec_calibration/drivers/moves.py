@@ -101,7 +101,7 @@ class Planner:
 
     def __init__(self, cell: Cell, axes: Axes, rail_speed: float) -> None:
         """rail_speed: m/s."""
-        self._cell, self._axes = cell, axes
+        self._cell, self.axes = cell, axes
         self.chain = Chain.of(cell.robot)
         self.n = cell.robot.n_joints
         velocity = np.where(np.isfinite(cell.robot.velocity) & (cell.robot.velocity > 0.0), cell.robot.velocity, 1.0)
@@ -113,11 +113,11 @@ class Planner:
             raise MoveError(f"speed of a joint move is {speed}, a share of the velocity limits in (0, 1] is needed")
         goal = start.copy()
         for name, value in wanted.items():
-            if name not in self._axes.driver:
-                raise MoveError(f"joint '{name}' is not known; this robot has {', '.join(self._axes.driver)}")
+            if name not in self.axes.driver:
+                raise MoveError(f"joint '{name}' is not known; this robot has {', '.join(self.axes.driver)}")
             if not math.isfinite(value):
                 raise MoveError(f"position of {name} is {value}, a finite number is needed")
-            goal[self._axes.driver.index(name)] = value
+            goal[self.axes.driver.index(name)] = value
         self.refuse_beyond_limits(goal)
         length = float(np.max(np.abs(goal - start) / self.velocity))  # s at full speed
         return Motion(Way(length, speed), np.array([0.0, max(length, 1e-9)]), np.array([start, goal]))
@@ -161,6 +161,6 @@ class Planner:
 
     def refuse_beyond_limits(self, positions: Array) -> None:
         """MoveError where an axis would be beyond its limit."""
-        for name, value, low, high in zip(self._axes.driver, positions, self._axes.lower, self._axes.upper, strict=False):
+        for name, value, low, high in zip(self.axes.driver, positions, self.axes.lower, self.axes.upper, strict=False):
             if not low <= value <= high:
                 raise MoveError(f"{name} would be at {value:.4g}, its limits are {low:.4g} and {high:.4g}")

@@ -26,12 +26,18 @@ class DriverCommands:
     """Hands what others ask for to the robot, or refuses it with the reason."""
 
     def __init__(
-        self, node: Any, robot: PositionRobot, planner: Planner, now: Callable[[], float], sensor_is_there: Callable[[], bool],
-        changed: Callable[[], None],
+        self, node: Any, robot: PositionRobot, planner: Planner, now: Callable[[], float], no_controller: Callable[[], str],
+        no_force: Callable[[], str], changed: Callable[[], None],
     ) -> None:  # fmt: skip
-        """now: clock of leases and moves, s. sensor_is_there: the force is known. changed: the control mode may have changed."""
+        """As a driver hears others.
+
+        Args:
+            now: clock of leases and moves, s. changed: the control mode may have changed.
+            no_controller, no_force: why nothing moves the robot, and why the force is not known; empty where all is well.
+        """
         self._node, self._robot, self._planner = node, robot, planner
-        self._now, self._sensor_is_there, self._changed = now, sensor_is_there, changed
+        self._now, self._changed = now, changed
+        self._no_controller, self._no_force = no_controller, no_force
         self._outcome: dict[bytes, tuple[float, str]] = {}
         node.create_subscription(WrenchStamped, "robot/force_setpoint", self._on_force, 10)
         node.create_subscription(TransformStamped, "irec/offset", self._on_offset, 10)
@@ -59,6 +65,7 @@ class DriverCommands:
 
         try:
             self._robot.refuse_unless_free()
+            _refuse_where(self._no_controller())
             motion = self._planned(handle.request)
             self._robot.begin(Order(motion, lambda: bool(handle.is_cancel_requested), feedback, ended), self._now())
         except MoveError as error:
@@ -89,8 +96,8 @@ class DriverCommands:
             if request.mode not in (SetControlMode.Request.POSITION, SetControlMode.Request.FORCE):
                 raise MoveError(f"control mode {request.mode} is not known; 0 is POSITION, 1 is FORCE")
             force = request.mode == SetControlMode.Request.FORCE
-            if force and not self._sensor_is_there():
-                raise MoveError("the force sensor has not sent anything yet")
+            if force:
+                _refuse_where(self._no_controller() or self._no_force())
             self._robot.switch(force, (f.x, f.y, f.z), self._now())
 
         response.force_lease, response.retract_distance = self._robot.settings.lease, self._robot.settings.retract
@@ -136,3 +143,8 @@ class DriverCommands:
         self._robot.clear_fault()
         response.success, response.message = True, f"position control; it was: {was or 'no fault'}"
         return response
+
+
+def _refuse_where(problem: str) -> None:
+    if problem:
+        raise MoveError(problem)

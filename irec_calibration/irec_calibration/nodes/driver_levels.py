@@ -15,6 +15,7 @@ from ..driver_check.passive import judge_passive
 from ..driver_check.pressing import LEAVE, Pressing, judge_pressing
 from ..poses.checker import Checker
 from ..procedure.axes import Axes
+from ..procedure.commands import LONGEST_LEASE
 from ..procedure.settings import Settings
 from ..typing import Array
 from .driver_client import DriverClient
@@ -114,7 +115,7 @@ def pressing(client: DriverClient) -> list[Item]:
     client.switch(SetControlMode.Request.FORCE, down)
     client.pause(2.0)
     client.pressing, last = None, client.now
-    client.pause(lease + 3.0)
+    client.pause((lease if 0.0 <= lease <= LONGEST_LEASE else LONGEST_LEASE) + 3.0)  # not for the time of a lease that fails
     after = client.seen(last, client.now)
     if client.last("robot/state")[0] == 1.0:  # no dead man's switch
         client.switch(SetControlMode.Request.POSITION, none)

@@ -4,6 +4,7 @@ before a row is recorded (friction cone, slip)."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..errors import PlanError
 from ..poses.checker import REASONS, Checker
 from ..typing import Array
 from .by_encoders import levers, slip_problem
+from .commands import LONGEST_LEASE
 from .settings import Settings
 from .standstill import Window
 
@@ -73,7 +75,12 @@ def plan_targets(cell: Cell, settings: Settings, q: Array, rail: Array, numbers:
         path = np.array([p_approach, kin.p_tcp[i]])
         targets.append(
             Target(
-                number, q_approach[i], None if cell.rail is None else float(rail[i]), kin.R_tool[i], p_approach, p_reference,
+                number,
+                q_approach[i],
+                None if cell.rail is None else float(rail[i]),
+                kin.R_tool[i],
+                p_approach,
+                p_reference,
                 reasons[failed[i]] or _out_of_bounds(cell, settings, path, float(rail[i])),
                 levers(J[i], revolute, 0 if cell.rail is None else 1),
             )  # fmt: skip
@@ -127,3 +134,20 @@ def _force_problem(window: Window, settings: Settings) -> str:
             f" ratio {lateral / normal:.3f}, limit {settings.friction:.3f}"
         )
     return ""
+
+
+def lease_problem(lease: float, operator_at_robot: bool) -> str:
+    """Why a driver that takes a force set point to hold for `lease` s (0: for ever) must not press; empty where it may."""
+    if not (math.isfinite(lease) and lease >= 0.0):
+        return f"the robot's driver says that force_lease is {lease} s; a finite number from 0 on is needed"
+    if operator_at_robot or 0.0 < lease <= LONGEST_LEASE:
+        return ""
+    way_out = " set procedure.operator_at_robot: true in the cell file where somebody stands at the emergency stop"
+    if lease == 0.0:
+        return (
+            f"the robot's driver has no dead man's switch (force_lease is 0): it would press on if this computer failed;{way_out}"
+        )
+    return (
+        f"the robot's driver would press on for {lease:g} s if this computer failed (force_lease), limit {LONGEST_LEASE:g} s;"
+        f" shorten it, or{way_out}"
+    )

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from ..typing import Array
 from .standstill import Window
 
+LONGEST_LEASE = 2.0  # s for which a driver may take a force set point to hold: so long a robot presses on after a crash
+
 
 @dataclass(frozen=True)
 class MoveJoint:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..typing import Array
 from . import entries, guards
-from .checks import Target
+from .checks import Target, lease_problem
 from .commands import CancelMove, Command, Event, ForceSetpoint, MoveJoint, MoveLinear, SwitchMode
 from .elapsed import CellTime
 from .plausible import Plausibility
@@ -134,11 +134,10 @@ class Procedure:
         """Answer to SwitchMode; force_lease: s for which the driver takes a force set point to hold, 0: for ever."""
         if success:
             self.switched, self.lease_s, self.switched_at = True, force_lease, self.time.elapsed
-            if self.state == "position_first" and force_lease <= 0.0 and not self.settings.operator_at_robot:
-                self.stop(
-                    "the robot's driver has no dead man's switch (force_lease is 0): it would press on if this computer failed;"
-                    " set procedure.operator_at_robot: true in the cell file where somebody stands at the emergency stop"
-                )
+            if (self.state == "position_first" or force_lease != 0.0) and (
+                problem := lease_problem(force_lease, self.settings.operator_at_robot)
+            ):
+                self.stop(problem)
         elif self.state == "force_mode":
             self.fail(f"the control mode was not switched: {message}")
         elif self.state in ("position_first", "position_mode"):  # the robot may be leaving the contact by itself: ask again

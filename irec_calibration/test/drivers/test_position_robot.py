@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from irec_calibration.cell import read_cell
 from irec_calibration.drivers.moves import Motion, MoveError, Planner, Way
-from irec_calibration.drivers.position_robot import FAULT, FORCE, POSITION, Order, PositionRobot, Settings
+from irec_calibration.drivers.position_robot import FAULT, FORCE, POSITION, Order, PositionRobot
+from irec_calibration.drivers.settings import Settings
 from irec_calibration.procedure.axes import read_axes
 from scipy.spatial.transform import Rotation
 
@@ -38,7 +39,7 @@ class Line:
         self.p0, self.R0 = tool(HOME)
         self.p = self.p0
         self.sensor = True
-        self.tick()
+        self.run(0.6)  # until it is known where the robot stands
 
     @property
     def depth(self) -> float:
@@ -54,7 +55,8 @@ class Line:
         self.now += TICK
         if asked is not None:
             self.robot.set_force(asked, self.now)
-        out = self.robot.tick(self.now, self.q, (self.now, self.force) if self.sensor else None)
+        self.robot.report(self.now, self.now, self.q)
+        out = self.robot.tick(self.now, (self.now, self.force) if self.sensor else None)
         if out is not None:
             self.q, self.p = out, tool(out)[0]
 
@@ -66,6 +68,12 @@ class Line:
         ended: list[tuple[float, str]] = []
         self.robot.begin(Order(motion, cancelled, lambda _: None, lambda f, p: ended.append((f, p))), self.now)
         return ended
+
+
+def reported(line: Line, q: np.ndarray, force: np.ndarray) -> np.ndarray | None:
+    """A tick with joint states and a force of our choice."""
+    line.robot.report(line.now, line.now, q)
+    return line.robot.tick(line.now, (line.now, force))
 
 
 @given(st.floats(1e-4, 10.0), st.floats(1e-3, 5.0), st.floats(0.0, 1.0))
@@ -251,14 +259,17 @@ def test_a_robot_that_does_not_follow_is_in_fault_until_somebody_clears_it() -> 
     ended = line.move(PLANNER.joint(HOME, {"joint_1": 0.5}, 0.5))
     for _ in range(200):
         line.now += TICK
-        line.robot.tick(line.now, HOME, None)  # the controller is not active: nothing moves
+        line.robot.report(line.now, line.now, HOME)
+        line.robot.tick(line.now, None)  # the controller is not active: nothing moves
     assert line.robot.mode == FAULT and "is its trajectory controller active?" in line.robot.message
     assert ended and "does not follow" in ended[0][1]
-    assert line.robot.tick(line.now, HOME, None) is None
+    assert line.robot.tick(line.now, None) is None
     with pytest.raises(MoveError, match="does not follow"):
         line.robot.switch(True, (0, 0, -10.0), line.now)
     line.robot.clear_fault()
-    np.testing.assert_allclose(line.robot.tick(line.now + TICK, HOME, None), HOME)
+    line.q = HOME
+    line.run(0.6)
+    np.testing.assert_allclose(line.robot.commanded, HOME)
 
 
 def test_a_set_point_that_is_no_number_is_refused() -> None:
@@ -276,7 +287,7 @@ def test_a_robot_that_is_late_is_pressed_on_without_overshoot(ticks: int) -> Non
     for _ in range(1000):
         line.now += TICK
         line.robot.set_force((0.0, 0.0, -1000.0), line.now)
-        out = line.robot.tick(line.now, line.q, (line.now, line.force))
+        out = reported(line, line.q, line.force)
         assert out is not None, line.robot.message
         on_the_way.append(out)
         line.q = on_the_way.popleft()
@@ -293,7 +304,7 @@ def test_old_states_that_come_in_a_burst_do_not_drive_the_robot_into_the_surface
     for _ in range(100):  # this process was held up for a second, the robot stood meanwhile and read no force
         line.now += TICK
         line.robot.set_force((0.0, 0.0, -1000.0), line.now)
-        sent = line.robot.tick(line.now, stood, (line.now, np.zeros(3)))
+        sent = reported(line, stood, np.zeros(3))
         assert sent is not None
         out = sent
     assert np.linalg.norm(tool(out)[0] - tool(stood)[0]) < 0.25e-3
@@ -306,7 +317,7 @@ def test_a_servo_that_gives_way_under_the_load_is_pressed_on_all_the_same() -> N
     for _ in range(1500):
         line.now += TICK
         line.robot.set_force((0.0, 0.0, -1000.0), line.now)
-        out = line.robot.tick(line.now, line.q, (line.now, line.force))
+        out = reported(line, line.q, line.force)
         assert out is not None, line.robot.message
         J = PLANNER.chain.forward(out[None, :6])[2][0, :3]
         behind = out.copy()  # 0.3 mm at 1000 N

@@ -32,6 +32,20 @@ def test_a_driver_without_dead_mans_switch_presses_only_where_the_cell_file_says
     assert len(robot.rows) == 4
 
 
+@pytest.mark.parametrize(
+    ("lease", "sentence"),
+    [(60.0, "press on for 60 s if this computer failed (force_lease), limit 2 s"), (float("nan"), "force_lease is nan s"),
+     (float("inf"), "force_lease is inf s"), (-1.0, "force_lease is -1.0 s")],
+)  # fmt: skip
+def test_a_driver_whose_force_set_point_holds_for_too_long_or_for_no_time_at_all_is_not_pressed_with(
+    lease: float, sentence: str
+) -> None:
+    robot = FakeRobot(1)
+    robot.lease = lease
+    robot.start().run()
+    assert not robot.set_points and sentence in robot.procedure.stopped_because and robot.is_safe
+
+
 def test_a_robot_that_is_found_pressing_is_led_out_of_the_contact_before_anything_else() -> None:
     robot = FakeRobot(1)
     robot.force_control, robot.near_surface = True, True

@@ -11,7 +11,7 @@ from irec_ros.parameters import P, Parameters
 from ..cell import PERIOD, Cell
 from ..cellfile import read_cell
 from ..instruments import InstrumentSettings
-from ..lease import LeaseSettings
+from ..lease import LONGEST, LeaseSettings
 from ..truth import make_truth, read_truth
 
 RATES = {  # Hz of simulated time
@@ -44,7 +44,7 @@ PARAMETERS = (
     P("period", PERIOD, "of a step; no topic comes more often; light robots need the default under force", 1e-3, 0.02, "s"),
     P("max_lead", 0.25, "simulated time that the cell may be ahead of its slowest follower", 1e-3, 100.0, "s"),
     P("rail_speed", 1.0, "velocity limit of the rail", 1e-3, 100.0, "m/s"),
-    P("force_lease", LEASE.hold, "a force set point holds for so long unless it comes again; 0: for ever", 0.0, 60.0, "s"),
+    P("force_lease", LEASE.hold, "a force set point holds for so long unless it comes again; 0: for ever", 0.0, LONGEST, "s"),
     P("retract_distance", LEASE.distance, "way back along the tool after a set point has run out", 1e-3, 0.5, "m"),
     *(P(f"rate.{name}", rate, f"publications of {name} per simulated second; 0: never", 0.0, 250.0, "Hz")
       for name, rate in RATES.items()),
