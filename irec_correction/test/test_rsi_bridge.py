@@ -276,7 +276,9 @@ def test_the_lifecycle_opens_the_port_sends_offsets_fades_them_and_frees_the_por
         return int(watcher.call(GetState, "rsi_bridge/get_state", GetState.Request()).current_state.id)
 
     path = model_of_cell(tmp_path)
-    bridge = start_bridge(start_process, drive, autostart="false", wrench_block=drive.block.name, model_path=path)
+    bridge = start_bridge(
+        start_process, drive, autostart="false", wrench_block=drive.block.name, model_path=path, **{"time.fade": 3.0}
+    )
     assert state() == State.PRIMARY_STATE_UNCONFIGURED
     expected, _ = Deflection(model(), ROBOT)(Q, WRENCH[:3], WRENCH[3:], PERIOD)
     for _ in range(2):
@@ -290,8 +292,9 @@ def test_the_lifecycle_opens_the_port_sends_offsets_fades_them_and_frees_the_por
         assert change(Transition.TRANSITION_ACTIVATE)
         drive.until(lambda: np.linalg.norm(drive.sent[-1] + expected) < 3e-6, START, "offset of the model")
         assert change(Transition.TRANSITION_DEACTIVATE)
+        assert not change(Transition.TRANSITION_CLEANUP), "the robot still acts on an offset"
         drive.until(lambda: np.linalg.norm(drive.sent[-1]) < 1e-7, START, "offset faded out")
-        assert change(Transition.TRANSITION_CLEANUP)
+        watcher.until(lambda: change(Transition.TRANSITION_CLEANUP), "cleanup at zero", each=drive.cycles)
         assert state() == State.PRIMARY_STATE_UNCONFIGURED
         drive.until(lambda: not listening(drive.port), START, "free port")
     assert drive.largest_step <= STEP

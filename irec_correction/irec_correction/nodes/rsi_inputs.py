@@ -26,6 +26,7 @@ class RsiInputs:
 
     Attributes:
         refused: source -> why its messages are not used now.
+        closed: the blocks are gone; what still comes is dropped.
     """
 
     def __init__(self, clock: ChainClock, wrench_frame: str, tolerance: float, wrench_range: float, refuse: Refuse) -> None:
@@ -33,6 +34,7 @@ class RsiInputs:
         self._clock, self._refuse = clock, refuse
         self.wrench, self.offset = SharedValues.create(WRENCH_SIZE), SharedValues.create(OFFSET_SIZE)
         self.refused: dict[str, Finding] = {}
+        self.closed = False
         self._count = 0
         self._wrench_check = TopicCheck(
             "wrench", wrench_frame, tolerance, wrench_range, Fault.WRENCH_FRAME, Fault.WRENCH_CLOCK, Fault.WRENCH_RANGE
@@ -43,6 +45,8 @@ class RsiInputs:
 
     def take_wrench(self, message: WrenchStamped) -> None:
         """One reading."""
+        if self.closed:
+            return
         f, t = message.wrench.force, message.wrench.torque
         values = f.x, f.y, f.z, t.x, t.y, t.z
         stamp, now = self._clock.of(message.header.stamp), self._clock.now()
@@ -52,6 +56,8 @@ class RsiInputs:
 
     def take_offset(self, message: TransformStamped) -> None:
         """One offset that somebody else has computed."""
+        if self.closed:
+            return
         t, r = message.transform.translation, message.transform.rotation
         turn = rotation_vector(r.x, r.y, r.z, r.w)
         stamp, now = self._clock.of(message.header.stamp), self._clock.now()

@@ -83,6 +83,11 @@ class RsiMonitor:
             log.info(self._text)
 
     @property
+    def silence(self) -> float:
+        """s since the newest packet of the controller; the time since the machine's start where there was none."""
+        return time.monotonic() - float(self._values[WHERE["now"]][0])
+
+    @property
     def _text(self) -> str:
         return f"{self.state.name}{': ' + self._reason if self._reason else ''}"
 
@@ -129,7 +134,7 @@ class RsiMonitor:
         for name, share in (("p50", 50), ("p99", 99), ("max", 100)):
             known[f"latency_{name}_s"] = float(np.percentile(latency, share))
         level, text = LEVELS[self.state], self._text
-        if time.monotonic() - self._values[WHERE["now"]][0] > SILENT:
+        if self.silence > SILENT:
             level, text = WARN, f"no packet of the controller; {text}"
         if note:
             level, text = max(level, WARN), f"{text}; {note}"

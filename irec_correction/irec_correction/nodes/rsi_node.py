@@ -26,6 +26,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from irec_msgs.srv import ActivateModel
 
 from ..errors import SettingsError
+from ..rsi.bridge import SHUTDOWN_MARGIN
 from ..rsi.report import KEPT, REPORT_SIZE
 from ..shared import SharedValues
 from ..state import State
@@ -40,6 +41,8 @@ from .rsi_setup import bridge_setup
 
 IN_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 ANSWER_WAIT = 2.0  # s for the loop to carry out a command
+AT_REST = (State.INACTIVE, State.FAULT)
+RSI_ENDED = 1.5  # s without a packet, after which the controller has stopped by its time-out and holds no offset
 
 
 class RsiNode(Managed):
@@ -120,10 +123,22 @@ class RsiNode(Managed):
             self.errors["calibrations"] = why
             self.get_logger().error(f"no model is in force: {why}")
 
+    def at_work(self) -> str:
+        """The controller still acts on an offset: without answers it would keep that."""
+        if not self._begun or self._state_of_loop() in AT_REST or self._monitor.silence > RSI_ENDED:
+            return ""
+        return f"the offset is in {self._monitor.state.name}, not at zero yet; ask again when it is INACTIVE or FAULT"
+
+    def _state_of_loop(self) -> State:
+        self._listen(0.0)
+        return self._monitor.state
+
     def release(self) -> None:
-        """Free the port and the blocks."""
+        """Free the port and the blocks; a loop that still sends an offset fades it out first."""
         if self._begun:
-            self._ask("release")
+            self._inputs.closed = True
+            if why := self._ask("release", wait=ANSWER_WAIT + self._p["time.fade"] + SHUTDOWN_MARGIN):
+                self.get_logger().error(f"the port may still be open: {why}")
         self._begun = False
         self._close_blocks()
 
@@ -166,14 +181,17 @@ class RsiNode(Managed):
 
     # -- commands to the loop ------------------------------------------------------------------------------------------
 
-    def _ask(self, command: str, argument: Any = None) -> str:
-        """Empty, or why the loop did not do it."""
+    def _ask(self, command: str, argument: Any = None, wait: float = ANSWER_WAIT) -> str:
+        """Empty, or why the loop did not do it within so many s."""
+        if not self._begun:
+            return "rsi_bridge is not configured; configure it first"
+        self._listen(0.0)  # an answer that came too late is not that of this command
         self._answers.clear()
         self._pipe.send((command, argument))
-        end = time.monotonic() + ANSWER_WAIT
+        end = time.monotonic() + wait
         while not self._answers:
             if time.monotonic() > end:
-                return f"the RSI loop did not answer within {ANSWER_WAIT} s"
+                return f"the RSI loop did not answer within {wait:g} s"
             self._listen(0.05)
         return self._answers.pop()
 
@@ -213,12 +231,16 @@ class RsiNode(Managed):
     # -- out of the loop -----------------------------------------------------------------------------------------------
 
     def _on_timer(self) -> None:
+        if not self._begun:  # it was due already when the node was cleaned up
+            return
         self._listen(0.0)
         self._monitor.publish()
         if self._monitor.state is State.FAULT and self.active and self._p["source"] == "chain":
             self.trigger_deactivate()  # stays in FAULT; so "activate" is what the operator can ask for
 
     def _on_second(self) -> None:
+        if not self._begun:
+            return
         refused = [f.text for f in self._inputs.refused.values()]
         errors = [f"{where}: {text}" for where, text in self.errors.items()]
         self._monitor.publish_diagnostics("; ".join(refused + errors))
@@ -234,7 +256,8 @@ class RsiNode(Managed):
         """Tell the loop that an input is refused (None: no longer); the loop does not answer that."""
         if finding is not None:
             self.get_logger().warning(f"{source} is not used: {finding.text}", throttle_duration_sec=5.0)
-        self._pipe.send(("refused", (source, finding)))
+        if self._begun:
+            self._pipe.send(("refused", (source, finding)))
 
     def ended(self) -> None:
         """Remove the blocks; the loop keeps its own hold on them."""
