@@ -22,7 +22,7 @@ from .limits import OffsetLimiter, OffsetLimits
 from .links import Links
 from .preview import Preview
 from .spring_chain import build_chain
-from .state import State, StateTimes, Supervisor
+from .state import ZERO_OFFSET, State, StateTimes, Supervisor
 from .watchdog import Fault, Finding, Watchdog, WatchdogSettings
 
 HELD_UP = 0.5  # s between two ticks from which it is told
@@ -142,8 +142,13 @@ class Correction:
         """Offset being sent, (6,), m and rad."""
         return np.concatenate([self.limiter.translation.value, self.limiter.rotation.value])
 
-    def start(self, now: float) -> None:
-        """Ramp in. Raises ActivationError without a model."""
+    @property
+    def at_rest(self) -> bool:
+        """No offset is sent and none is asked for: what takes the offset can do without this chain."""
+        return self.supervisor.state in (State.INACTIVE, State.FAULT) and not np.any(np.abs(self.present) > ZERO_OFFSET)
+
+    def start(self, now: float, after: float = 0.0) -> None:
+        """Ramp in, `after` s of no offset. Raises ActivationError without a model."""
         if self.deflection is None:
             raise ActivationError("no model is in force; activate one first")
         if self.supervisor.state is State.FAULT:
@@ -152,7 +157,7 @@ class Correction:
         if self.links is not None:
             self.links.start()
         self.watchdog.clear_errors()
-        self.supervisor.start(now, self.present)
+        self.supervisor.start(now, self.present, after)
 
     def stop(self, now: float, reason: str = "stopped") -> None:
         """Fade out."""

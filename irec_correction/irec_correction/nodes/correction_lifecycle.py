@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 from geometry_msgs.msg import WrenchStamped
 from irec_calibration.cell import read_cell
@@ -24,7 +25,7 @@ from irec_msgs.srv import ActivateModel
 
 from ..conditioning import Conditioner, make_filters, sensor_in_tool
 from ..correction import Correction
-from ..errors import SettingsError
+from ..errors import ActivationError, SettingsError
 from ..filters import delay_cost
 from ..orientations import Orientations
 from ..realtime import settle_memory
@@ -35,6 +36,7 @@ from .chain_clock import ChainClock
 from .correction_inputs import CorrectionInputs
 from .correction_outputs import CorrectionOutputs
 from .managed import Managed, run_managed
+from .offset_topics import LINGER, refusal, wait_for_discovery
 from .model_checks import CheckedModel, Mounted, calibration_in_force, read_checked
 from .tool_load_service import create_services
 
@@ -43,6 +45,8 @@ LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabi
 RAIL = "ext_rail"  # default of parameter rail_joint
 EARLY = 0.75  # of a period: a wrench that comes sooner after the last tick makes none
 MISSING = 1.5  # periods without a tick: the timer makes one
+LOOK = 0.02  # s between two looks for others that send an offset
+REST_MARGIN = 1.0  # s beyond the fade within which the offset is at zero before this node ends
 
 
 class CorrectionNode(Managed):
@@ -51,6 +55,7 @@ class CorrectionNode(Managed):
 
     def __init__(self) -> None:
         super().__init__("correction_node")
+        self._made = time.monotonic()
         self._p = Parameters(self, (*parameters.CORRECTION, *parameters.LINKS))
         refuse_unknown_parameters(self)
         for name in [p.name for p in parameters.CORRECTION if p.settable]:
@@ -86,8 +91,29 @@ class CorrectionNode(Managed):
 
     def start(self) -> None:
         """Follow the model. Raises IrecError."""
-        self._chain().start(self._chain_clock.now())
+        self._begin()
         self.errors = {}
+
+    def _begin(self) -> None:
+        """Ramp in, unless somebody else sends an offset. Raises IrecError."""
+        correction, offsets = self._chain(), self._outputs.offsets
+        wait_for_discovery(self._made)
+        if rivals := offsets.rivals():
+            correction.supervisor.reason = self.errors["activation"] = refusal(rivals)
+            raise ActivationError(refusal(rivals))
+        correction.start(self._chain_clock.now(), LINGER)
+        offsets.open()
+
+    def _watch_rivals(self, correction: Correction, now: float) -> None:
+        """Two senders make the offset jump between theirs: each of them fades out."""
+        if 0.0 <= now - self._looked < LOOK:
+            return
+        self._looked = now
+        rivals = self._outputs.offsets.rivals() if self._outputs.offsets.is_open else ""
+        if rivals:
+            correction.watchdog.refuse("rival", Fault.RIVAL, rivals)
+        else:
+            correction.watchdog.clear("rival")
 
     def stop(self) -> None:
         """Fade the offset out; a fault stays one until somebody activates again."""
@@ -98,8 +124,30 @@ class CorrectionNode(Managed):
         if self.trigger_configure() is TransitionCallbackReturn.SUCCESS and self._in_force is not None and self._p["model_path"]:
             self.trigger_activate()
 
+    def at_work(self) -> str:
+        """An offset that is still being faded out has to come to its end first: a stream that ends before makes a step."""
+        correction = self._correction
+        if correction is None or correction.at_rest:
+            return ""
+        return f"the offset is in {correction.supervisor.state.name}, not at zero yet; ask again when it is INACTIVE or FAULT"
+
+    def come_to_rest(self) -> None:
+        """Fade the offset out here and now, without inputs: nobody calls this node any more."""
+        correction = self._correction
+        if correction is None or correction.at_rest:
+            return
+        begun, now = time.monotonic(), self._chain_clock.now()
+        correction.stop(now, "the node is shut down")
+        passed = 0.0
+        while not correction.at_rest and passed < correction.settings.times.fade + REST_MARGIN:
+            time.sleep(self._period)
+            passed = time.monotonic() - begun
+            self._outputs.publish(now + passed, correction.tick(now + passed))
+
     def release(self) -> None:
         """Forget chain and model."""
+        if self._correction is not None:
+            self._outputs.offsets.close()
         self._correction, self._in_force = None, None
 
     def configure(self) -> None:
@@ -135,7 +183,7 @@ class CorrectionNode(Managed):
             parameters.outputs(p), names,
         )  # fmt: skip
         self.entities += self._outputs.entities
-        self._last_tick = -1.0
+        self._last_tick = self._looked = -1.0
         self.get_logger().info(str(delay_cost(filters, p["process_feed"], p["deflection_slope"])))
         if p["model_path"]:
             self._put_in_force(str(p["model_path"]))
@@ -202,9 +250,9 @@ class CorrectionNode(Managed):
         try:
             response.sha256 = self._put_in_force(request.model_path)
             if self.active and correction.supervisor.state is State.INACTIVE:
-                correction.start(self._chain_clock.now())
+                self._begin()
             elif not self.active and (self._p["autostart"] or correction.supervisor.state is State.FAULT):
-                self.trigger_activate()
+                self.go_through(self.trigger_activate)
         except IrecError as error:
             response.message = str(error)
             return response
@@ -240,13 +288,19 @@ class CorrectionNode(Managed):
         else:  # readable or not
             watchdog.refuse(source, Fault.ROBOT_CHANGED, "robot_description is not that of the model in force")
 
+    # a message or a timer may have been due already when the node was cleaned up
+
     def _on_joints(self, message: JointState) -> None:
-        self._inputs.take_joints(message)
+        if self._correction is not None:
+            self._inputs.take_joints(message)
 
     def _on_links(self, message: JointState) -> None:
-        self._inputs.take_links(message)
+        if self._correction is not None:
+            self._inputs.take_links(message)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
+        if self._correction is None:
+            return
         now = self._inputs.take_wrench(message)
         if not 0.0 <= now - self._last_tick < EARLY * self._period:
             self._tick(now)
@@ -259,18 +313,24 @@ class CorrectionNode(Managed):
     # -- output --------------------------------------------------------------------------------------------------------
 
     def _on_missing_tick(self) -> None:
+        if self._correction is None:
+            return
         now = self._chain_clock.now()
         if not 0.0 <= now - self._last_tick < MISSING * self._period:
             self._tick(now)
 
     def _tick(self, now: float) -> None:
         self._last_tick = now
-        out = self._chain().tick(now)
+        correction = self._chain()
+        self._watch_rivals(correction, now)
+        out = correction.tick(now)
         self._outputs.publish(now, out)
         if out.state is State.FAULT and self.active:
             self.trigger_deactivate()  # stays in FAULT; so "activate" is what the operator can ask for
 
     def _on_second(self) -> None:
+        if self._correction is None:
+            return
         self._outputs.publish_diagnostics("; ".join(f"{where}: {text}" for where, text in self.errors.items()))
 
 
