@@ -226,6 +226,12 @@ def test_offsets_of_a_topic_are_followed_then_held_and_faded_when_they_stop(driv
     frame[0] = "base_link"
     t.x = t.y = t.z = 0.0  # as a correction node does that is activated again
     watcher.until(lambda: states[-1].state == CorrectionState.ACTIVE, "start after the fault", each=cell)
+    t.x, t.y, t.z = OFFSET.tolist()
+    watcher.until(arrived, "offset again", each=cell)
+    rival = watcher.node.create_publisher(TransformStamped, "irec/offset", 50)
+    watcher.until(lambda: states[-1].state == CorrectionState.FAULT, "fault beside another sender", each=cell)
+    assert "2 publishers of /irec/offset" in states[-1].reason
+    watcher.node.destroy_publisher(rival)
     assert drive.largest_step <= STEP
 
 

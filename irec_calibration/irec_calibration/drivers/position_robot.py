@@ -165,6 +165,10 @@ class PositionRobot:
         """Offset of the commanded TCP, m and rotation vector (3,) in base_link; what is beyond the limits is cut. MoveError."""
         self._offset.take(translation, turn, now)
 
+    def fade_offset(self) -> None:
+        """Two nodes send offsets: hold the last one, fade it out, and follow nobody before it is at zero."""
+        self._offset.fade()
+
     def fault(self, reason: str) -> None:
         """Nothing more is sent until the operator clears it."""
         if self.mode == FAULT:

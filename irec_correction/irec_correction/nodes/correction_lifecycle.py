@@ -36,8 +36,8 @@ from .chain_clock import ChainClock
 from .correction_inputs import CorrectionInputs
 from .correction_outputs import CorrectionOutputs
 from .managed import Managed, run_managed
-from .offset_topics import LINGER, refusal, wait_for_discovery
 from .model_checks import CheckedModel, Mounted, calibration_in_force, read_checked
+from .offset_topics import LINGER, refusal, wait_for_discovery
 from .tool_load_service import create_services
 
 SENSOR_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -56,6 +56,7 @@ class CorrectionNode(Managed):
     def __init__(self) -> None:
         super().__init__("correction_node")
         self._made = time.monotonic()
+        self._looked = -1.0  # for others that send an offset
         self._p = Parameters(self, (*parameters.CORRECTION, *parameters.LINKS))
         refuse_unknown_parameters(self)
         for name in [p.name for p in parameters.CORRECTION if p.settable]:
@@ -183,7 +184,7 @@ class CorrectionNode(Managed):
             parameters.outputs(p), names,
         )  # fmt: skip
         self.entities += self._outputs.entities
-        self._last_tick = self._looked = -1.0
+        self._last_tick = -1.0
         self.get_logger().info(str(delay_cost(filters, p["process_feed"], p["deflection_slope"])))
         if p["model_path"]:
             self._put_in_force(str(p["model_path"]))

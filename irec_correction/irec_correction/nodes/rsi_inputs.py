@@ -29,9 +29,13 @@ class RsiInputs:
         closed: the blocks are gone; what still comes is dropped.
     """
 
-    def __init__(self, clock: ChainClock, wrench_frame: str, tolerance: float, wrench_range: float, refuse: Refuse) -> None:
-        """Args: tolerance: between stamp and now, s. wrench_range: N or N m. refuse: tells the loop (source, why or None)."""
-        self._clock, self._refuse = clock, refuse
+    def __init__(
+        self, clock: ChainClock, wrench_frame: str, tolerance: float, wrench_range: float, refuse: Refuse,
+        other_senders: Callable[[], str] = str,
+    ) -> None:  # fmt: skip
+        """Args: tolerance: between stamp and now, s. wrench_range: N or N m. refuse: tells the loop (source, why or None).
+        other_senders: that send offsets beside the one that is followed, empty where there are none."""
+        self._clock, self._refuse, self._other_senders = clock, refuse, other_senders
         self.wrench, self.offset = SharedValues.create(WRENCH_SIZE), SharedValues.create(OFFSET_SIZE)
         self.refused: dict[str, Finding] = {}
         self.closed = False
@@ -65,6 +69,8 @@ class RsiInputs:
         length = float(np.linalg.norm([r.x, r.y, r.z, r.w]))
         if finding is None and abs(length - 1.0) > UNIT:
             finding = Finding(Fault.OFFSET_NOT_FINITE, f"offset holds a quaternion of length {length:g}, 1 is needed")
+        if others := self._other_senders():
+            finding = Finding(Fault.RIVAL, others)
         if self._accept("offset topic", finding):
             self.offset.write(np.array([_steady(stamp, now), 1.0, t.x, t.y, t.z, *turn]))
 

@@ -22,6 +22,7 @@ from ..rsi.report import KEPT, REPORT_SIZE, WHERE, counts
 from ..shared import SharedValues
 from ..state import State
 from .messages import LEVELS, fill_quaternion, fill_vector, fill_wrench
+from .offset_topics import OFFSET, OffsetTopics
 
 OUT_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 MONITOR_RATE = 100.0  # Hz
@@ -55,15 +56,16 @@ class RsiMonitor:
         self._joints_out = node.create_publisher(JointState, "joint_states", OUT_QOS)
         self._pose_out = node.create_publisher(PoseStamped, "tcp_pose", OUT_QOS)
         self._diagnostics = diagnostics
+        self._offsets = OffsetTopics(node, {OFFSET: TransformStamped} if computes else {}, OUT_QOS)
         if computes:
-            self._offset_out = node.create_publisher(TransformStamped, "irec/offset", OUT_QOS)
             self._process_out = node.create_publisher(WrenchStamped, "irec/wrench_process", OUT_QOS)
             self._state_out = node.create_publisher(CorrectionState, "irec/correction/state", OUT_QOS)
         else:  # irec/correction/state is that of the correction node
             self._state_out = node.create_publisher(CorrectionState, "~/state", OUT_QOS)
         made = [self._joints_out, self._pose_out, self._state_out]
-        made += [self._offset_out, self._process_out] if computes else []
+        made += [self._process_out] if computes else []
         self.entities = [(node.destroy_publisher, publisher) for publisher in made]
+        self.entities.append((OffsetTopics.close, self._offsets))
 
     def take(self, kind: str, content: Any) -> None:
         """A message of the loop: ("state", (number, reason)) or ("problem", text, empty when it is over)."""
@@ -81,6 +83,11 @@ class RsiMonitor:
             log.warning(self._text)
         else:  # rclpy wants one place in the code per severity
             log.info(self._text)
+
+    @property
+    def rivals(self) -> str:
+        """Who else sends an offset, where it is computed here; the robot gets ours by RSI all the same."""
+        return self._offsets.rivals() if self._computes else ""
 
     @property
     def silence(self) -> float:
@@ -104,10 +111,14 @@ class RsiMonitor:
         fill_quaternion(self._pose.pose.orientation, Rotation.from_euler("ZYX", v[WHERE["abc"]]).as_rotvec())
         self._pose_out.publish(self._pose)
         if self._computes:
+            at_rest = self.state in (State.INACTIVE, State.FAULT)
+            if not at_rest:
+                self._offsets.open()
+            self._offsets.close_after(at_rest, time.monotonic())
             self._offset.header.stamp = stamp
             fill_vector(self._offset.transform.translation, v[WHERE["translation"]])
             fill_quaternion(self._offset.transform.rotation, v[WHERE["rotation"]])
-            self._offset_out.publish(self._offset)
+            self._offsets.publish(OFFSET, self._offset)
             fill_wrench(self._process, stamp, v[WHERE["wrench"]])
             self._process_out.publish(self._process)
         if time.monotonic() - self._state_sent > STATE_PERIOD:

@@ -18,6 +18,7 @@ from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
 from irec_ros.diagnostics import Diagnostics
 from irec_ros.parameters import Parameters
+from irec_ros.senders import other_senders
 from irec_ros.startup import refuse_unknown_parameters
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import TransitionCallbackReturn
@@ -35,6 +36,7 @@ from . import parameters
 from .chain_clock import ChainClock
 from .managed import Managed, run_managed
 from .model_checks import Mounted, calibration_in_force, read_checked
+from .offset_topics import OFFSET, refusal, wait_for_discovery
 from .rsi_inputs import RsiInputs
 from .rsi_monitor import MONITOR_RATE, RsiMonitor
 from .rsi_setup import bridge_setup
@@ -53,6 +55,7 @@ class RsiNode(Managed):
 
     def __init__(self, pipe: Connection) -> None:
         super().__init__("rsi_bridge")
+        self._made = time.monotonic()
         own = {q.name for q in parameters.RSI}
         fixed = [replace(q, settable=False) for q in parameters.CORRECTION if q.name not in own]  # the loop gets them once
         self._p = p = Parameters(self, (*fixed, *parameters.RSI))
@@ -70,6 +73,10 @@ class RsiNode(Managed):
 
     def start(self) -> None:
         """Let the loop follow. Raises SettingsError."""
+        if self._p["source"] == "chain":
+            wait_for_discovery(self._made)
+            if rivals := self._monitor.rivals:
+                raise SettingsError(refusal(rivals))
         if why := self._ask("start"):
             raise SettingsError(why)
         self._monitor.state = State.INACTIVE  # a fault that was is over; the loop tells what follows
@@ -91,7 +98,7 @@ class RsiNode(Managed):
         wrench_frame = str(p["sensor_frame"]) if p["raw_wrench"] else "tool0"
         self._inputs = RsiInputs(
             self._clock_of_chain, wrench_frame, p["watch.clock_tolerance"], max(p["watch.force_range"], p["watch.torque_range"]),
-            self._pass_on_refusal,
+            self._pass_on_refusal, lambda: other_senders(self, self.resolve_topic_name(OFFSET), 1),
         )  # fmt: skip
         self._mounted = Mounted(
             self._cell.robot, self._serial, str(p["tool"]) or self._cell.tool_name, p.three("gravity"), self._cell.payload,
@@ -174,7 +181,7 @@ class RsiNode(Managed):
                 made.append((self.destroy_subscription, subscribe(WrenchStamped, topic, self._inputs.take_wrench, IN_QOS)))
         else:
             take = self._inputs.take_offset
-            made.append((self.destroy_subscription, subscribe(TransformStamped, "irec/offset", take, IN_QOS)))
+            made.append((self.destroy_subscription, subscribe(TransformStamped, OFFSET, take, IN_QOS)))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         for period, callback in ((1.0 / MONITOR_RATE, self._on_timer), (1.0, self._on_second)):
             made.append((self.destroy_timer, self.create_timer(period, callback, clock=steady)))
@@ -241,7 +248,7 @@ class RsiNode(Managed):
     def _on_second(self) -> None:
         if not self._begun:
             return
-        refused = [f.text for f in self._inputs.refused.values()]
+        refused = [*(f.text for f in self._inputs.refused.values()), *([self._monitor.rivals] if self._monitor.rivals else [])]
         errors = [f"{where}: {text}" for where, text in self.errors.items()]
         self._monitor.publish_diagnostics("; ".join(refused + errors))
 

@@ -189,8 +189,8 @@ class GivenSource:
     """Offsets that another process writes, for example from the topic irec/offset: limited again here, held, then faded when
     stale.
 
-    Asked to start, it waits for the first sound offset. After a FAULT it starts again when an offset of zero comes: whoever gives
-    the offsets has been started again by its operator.
+    Asked to start, it waits for the first sound offset, and again after the offsets have ended at zero. After a FAULT it starts
+    again when an offset of zero comes: whoever gives the offsets has been started again by its operator.
     """
 
     def __init__(self, settings: CorrectionSettings, block: SharedValues, timeout: float) -> None:
@@ -242,6 +242,11 @@ class GivenSource:
             self._supervisor.start(now, self._present)
 
     @property
+    def _at_zero(self) -> bool:
+        """Neither asked for nor sent: whoever gives the offsets has ended in order."""
+        return not np.any(np.abs(np.concatenate([self._wanted, self._present])) > ZERO_OFFSET)
+
+    @property
     def _present(self) -> Array:
         return np.concatenate([self._limiter.translation.value, self._limiter.rotation.value])
 
@@ -275,8 +280,11 @@ class GivenSource:
         if finding is None:
             self._wanted = self._values[2:8].copy()
             self._start_when_sound(now)
-        elif finding.fault is not self._standing:
-            self._faults[finding.fault] += 1
+        else:
+            if finding.fault is not self._standing:
+                self._faults[finding.fault] += 1
+            if finding.fault is Fault.OFFSET_STALE and self._at_zero and self.state is not State.FAULT:
+                self._supervisor.stop(now, self._present, "waiting for an offset: it ended at zero")
         self._standing = finding.fault if finding is not None else None
         dt = self._period if self._last is None else now - self._last
         self._last = now
