@@ -23,7 +23,7 @@ from .links import Links
 from .preview import Preview
 from .spring_chain import build_chain
 from .state import ZERO_OFFSET, State, StateTimes, Supervisor
-from .watchdog import Fault, Finding, Watchdog, WatchdogSettings
+from .watchdog import Fault, Finding, RailRange, Watchdog, WatchdogSettings
 
 HELD_UP = 0.5  # s between two ticks from which it is told
 
@@ -97,10 +97,13 @@ class Correction:
         links: secondary encoders, or None.
     """
 
-    def __init__(self, settings: CorrectionSettings, robot: Robot, conditioner: Conditioner) -> None:
+    def __init__(
+        self, settings: CorrectionSettings, robot: Robot, conditioner: Conditioner, rail: RailRange | None = None
+    ) -> None:
+        """rail: where the external axis can be; None: there is none, or its position does not matter."""
         self.settings, self.robot = settings, robot
         self.conditioner = conditioner
-        self.watchdog = Watchdog(settings.watchdog, robot.velocity)
+        self.watchdog = Watchdog(settings.watchdog, robot.velocity, rail)
         self.supervisor = Supervisor(settings.times)
         self.limiter = OffsetLimiter(settings.limits, settings.period)
         self.counts = Counts()

@@ -117,6 +117,13 @@ def test_a_joint_state_with_too_few_positions_and_wrenches_in_another_frame_are_
     assert largest_step(active) <= STEP
 
 
+def test_a_rail_that_is_where_the_cell_has_none_fades_the_offset_out(active):
+    active.rail = 3.0
+    state_of(active, FAULT)
+    assert "the rail is at 3 m, its range is -1.5 .. 1.5 m" in active.states[-1].reason
+    assert largest_step(active) <= STEP
+
+
 def test_a_limit_that_is_set_at_run_time_acts_and_what_does_not_act_is_refused(active):
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter

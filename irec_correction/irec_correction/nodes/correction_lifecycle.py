@@ -7,10 +7,10 @@ import threading
 import time
 
 from geometry_msgs.msg import WrenchStamped
-from irec_calibration.cell import read_cell
+from irec_calibration.cell import Cell, read_cell
 from irec_calibration.errors import IrecError
-from irec_calibration.procedure.axes import Axes, read_axes
-from irec_calibration.robot import Payload, Robot
+from irec_calibration.procedure.axes import read_axes
+from irec_calibration.robot import Robot
 from irec_calibration.sensors.tool_load import ToolLoad
 from irec_ros.diagnostics import Diagnostics
 from irec_ros.parameters import Parameters
@@ -154,7 +154,8 @@ class CorrectionNode(Managed):
     def configure(self) -> None:
         """Build the chain and put the stated model in force. Raises IrecError."""
         p = self._p
-        robot, serial, tool, payload, axes = self._mounted_robot()
+        cell, robot, serial, tool = self._mounted_robot()
+        payload, axes = (None, None) if cell is None else (cell.payload, read_axes(cell))
         raw = bool(p["raw_wrench"])
         frame = str(p["sensor_frame"]) if raw else "tool0"
         gravity = p.three("gravity")
@@ -172,7 +173,7 @@ class CorrectionNode(Managed):
         self._mounted = Mounted(robot, serial, tool, gravity, payload, settings.period, p["predicted_limit"],
                                 settings.need_envelope, recorded_rail.removeprefix("ext_"))  # fmt: skip
         self._chain_clock = ChainClock(self)
-        self._correction = Correction(settings, robot, conditioner)
+        self._correction = Correction(settings, robot, conditioner, parameters.rail_range(cell))
         self._correction.preview = parameters.preview(p, robot)
         encoders = parameters.links(p, robot)
         self._correction.links = encoders[0] if encoders else None
@@ -194,16 +195,16 @@ class CorrectionNode(Managed):
             self._compare_robot(self._described)
         self._offer(raw)
 
-    def _mounted_robot(self) -> tuple[Robot, str, str, Payload | None, Axes | None]:
-        """Robot, its serial, name of the tool, payload, axes."""
+    def _mounted_robot(self) -> tuple[Cell | None, Robot, str, str]:
+        """Cell where there is a file of it, robot, its serial, name of the tool."""
         p = self._p
         if p["cell"]:
             cell = read_cell(p["cell"])
             serial, tool = str(p["robot_serial"]) or cell.serial, str(p["tool"]) or cell.tool_name
-            return cell.robot, serial, tool, cell.payload, read_axes(cell)
+            return cell, cell.robot, serial, tool
         if self._described is None:
             raise SettingsError("neither parameter 'cell' nor a message on robot_description says which robot this is")
-        return Robot(self._described, "robot_description"), str(p["robot_serial"]), str(p["tool"]), None, None
+        return None, Robot(self._described, "robot_description"), str(p["robot_serial"]), str(p["tool"])
 
     def _chain(self) -> Correction:
         if self._correction is None:

@@ -22,7 +22,7 @@ from ..preview import ForceProfile, Preview
 from ..shared import WRENCH_SIZE, SharedValues
 from ..spring_chain import build_chain
 from ..state import ZERO_OFFSET, State, Supervisor
-from ..watchdog import Fault, Finding
+from ..watchdog import Fault, Finding, RailRange
 from .answers import per_answer
 from .codec import RobotPacket
 from .report import FAULTS, WHERE
@@ -78,6 +78,7 @@ class ChainSettings:
         wrench_block: name of the shared memory that the sensor's process writes.
         profile, preview_lead, preview_slack: force that is known along the course, s from a reading to the motion that it causes,
             s by which it may come sooner or later.
+        rail: where the first external axis can be; None: there is none.
         raw: the block holds readings in `sensor_frame`; otherwise wrenches at the TCP.
     """
 
@@ -94,6 +95,7 @@ class ChainSettings:
     profile: ForceProfile | None = None
     preview_lead: float = 0.0
     preview_slack: float = 0.0
+    rail: RailRange | None = None
 
 
 class ChainSource:
@@ -105,7 +107,7 @@ class ChainSource:
         sensor = sensor_in_tool(robot, settings.sensor_frame) if settings.raw else None
         conditioner = Conditioner(make_filters(settings.filters), sensor, settings.load, settings.cable, settings.gravity)
         correction = replace(settings.correction, limits=per_answer(settings.correction.limits))
-        self.chain = Correction(correction, robot, conditioner)
+        self.chain = Correction(correction, robot, conditioner, settings.rail)
         if settings.profile is not None:
             self.chain.preview = Preview(
                 settings.profile, settings.preview_lead, make_filters(settings.filters), slack=settings.preview_slack
