@@ -25,7 +25,7 @@ from .spring_chain import build_chain
 from .state import ZERO_OFFSET, State, StateTimes, Supervisor
 from .watchdog import Fault, Finding, RailRange, Watchdog, WatchdogSettings
 
-HELD_UP = 0.5  # s between two ticks from which it is told
+HELD_UP = 0.1  # s between two ticks, after which the robot's side has begun to fade the offset out (its contract)
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class CorrectionSettings:
         lead: the offset is extrapolated by this time, s: the measured delay from force to robot. 0: not at all.
         lead_smoothing: time constant of the rate that is extrapolated, s. lead_limit: largest extrapolation, m and rad.
         need_envelope: refuse a model without the range that it was identified in.
+        held_up: s between two ticks, beyond which this process was held up: hold, then ramp in. inf: who asks for ticks pauses.
     """
 
     period: float = 0.004
@@ -46,6 +47,7 @@ class CorrectionSettings:
     lead_smoothing: float = 0.02
     lead_limit: float = 2e-4
     need_envelope: bool = False
+    held_up: float = HELD_UP
     limits: OffsetLimits = field(default_factory=OffsetLimits)
     times: StateTimes = field(default_factory=StateTimes)
     watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
@@ -230,11 +232,15 @@ class Correction:
         self._last_tick = now
         self.counts.ticks += 1
         self.counts.late += dt > 2.0 * period
-        if dt > HELD_UP and self.supervisor.state is not State.INACTIVE:
-            self.watchdog.note(Fault.HELD_UP, f"no tick for {dt:.2f} s: this process was held up, or the clock was set")
+        finding: Finding | None = None
+        if dt > self.settings.held_up and self.supervisor.state is not State.INACTIVE:
+            text = f"no tick for {dt:.2f} s, limit {self.settings.held_up:g} s: this process was held up, or the clock was set"
+            finding = self.watchdog.note(Fault.HELD_UP, text)
+            if self.supervisor.state not in (State.RAMP_IN, State.ACTIVE):  # otherwise there is nothing to hold
+                finding = None
         if self.links is not None and self.links.is_late(now):
             self.watchdog.refuse("secondary encoders", Fault.JOINTS_STALE, "no windup from the secondary encoders")
-        finding: Finding | None = self.watchdog.finding(now, self._wrench)
+        finding = finding or self.watchdog.finding(now, self._wrench)
         if finding is None and self.deflection is not None:
             finding = self._predict(self.deflection, min(max(dt, 0.0), period))
         if finding is None and self.deflection is not None:

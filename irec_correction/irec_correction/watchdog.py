@@ -160,10 +160,11 @@ class Watchdog:
         for source in [s for s, f in self._refused.items() if f.fault in (Fault.INTERNAL, Fault.PREDICTION)]:
             del self._refused[source]
 
-    def note(self, fault: Fault, text: str) -> None:
-        """Something that has passed already and that nothing follows from: counted and told."""
+    def note(self, fault: Fault, text: str) -> Finding:
+        """Something that has passed already: counted and told."""
         self.counters[fault] += 1
         self.newest = Finding(fault, text)
+        return self.newest
 
     def accept_wrench(self, stamp: float, now: float, frame: str, reading: Array) -> bool:
         """Whether a reading (6,), N and N m, can be used. Times in s."""

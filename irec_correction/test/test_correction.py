@@ -216,9 +216,21 @@ def test_a_process_that_was_held_up_says_so_afterwards():
     rig = Rig().active()
     assert Fault.HELD_UP not in rig.correction.watchdog.counters
     rig.now += 2.5
+    rig.run(0.02)
+    assert rig.outputs[-1].state is State.HOLD and "no tick for 2.50 s, limit 0.1 s" in rig.outputs[-1].reason
     rig.run(1.0)
     assert rig.outputs[-1].state is State.ACTIVE and rig.largest_step <= STEP
     assert rig.correction.watchdog.counters[Fault.HELD_UP] == 1
+
+
+def test_a_process_that_was_held_up_while_it_fades_out_goes_on_fading():
+    rig = Rig().active()
+    rig.correction.stop(rig.now)
+    rig.run(0.1)
+    rig.now += 0.3
+    rig.run(2.0)
+    assert rig.outputs[-1].state is State.INACTIVE and rig.correction.watchdog.counters[Fault.HELD_UP] == 1
+    assert rig.largest_step <= STEP
 
 
 def test_another_model_blends_over_without_a_step():

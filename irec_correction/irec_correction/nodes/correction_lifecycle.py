@@ -57,6 +57,7 @@ class CorrectionNode(Managed):
         super().__init__("correction_node")
         self._made = time.monotonic()
         self._looked = -1.0  # for others that send an offset
+        self._told = State.INACTIVE  # in diagnostics, at once
         self._p = Parameters(self, (*parameters.CORRECTION, *parameters.LINKS))
         refuse_unknown_parameters(self)
         for name in [p.name for p in parameters.CORRECTION if p.settable]:
@@ -327,6 +328,9 @@ class CorrectionNode(Managed):
         self._watch_rivals(correction, now)
         out = correction.tick(now)
         self._outputs.publish(now, out)
+        if out.state is not self._told:
+            self._told = out.state
+            self._on_second()
         if out.state is State.FAULT and self.active:
             self.trigger_deactivate()  # stays in FAULT; so "activate" is what the operator can ask for
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -106,7 +107,8 @@ class ChainSource:
         self._frame = settings.sensor_frame if settings.raw else "tool0"
         sensor = sensor_in_tool(robot, settings.sensor_frame) if settings.raw else None
         conditioner = Conditioner(make_filters(settings.filters), sensor, settings.load, settings.cable, settings.gravity)
-        correction = replace(settings.correction, limits=per_answer(settings.correction.limits))
+        # without packets there are no ticks, and the joint states are stale
+        correction = replace(settings.correction, limits=per_answer(settings.correction.limits), held_up=math.inf)
         self.chain = Correction(correction, robot, conditioner, settings.rail)
         if settings.profile is not None:
             self.chain.preview = Preview(
