@@ -38,7 +38,7 @@ class Fault(StrEnum):
     OFFSET_NOT_FINITE = "offset_not_finite"
     OFFSET_FRAME = "offset_frame"
     OFFSET_CLOCK = "offset_clock"
-    RIVAL = "rival"
+    OTHER_SENDER = "other_sender"
     PREDICTION = "prediction"
     INTERNAL = "internal"
     HELD_UP = "held_up"

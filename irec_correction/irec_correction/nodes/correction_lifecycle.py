@@ -35,6 +35,7 @@ from . import parameters
 from .chain_clock import ChainClock
 from .correction_inputs import CorrectionInputs
 from .correction_outputs import CorrectionOutputs
+from .fade_out import fade_out_now, not_at_zero
 from .managed import Managed, run_managed
 from .model_checks import CheckedModel, Mounted, calibration_in_force, read_checked
 from .offset_topics import LINGER, refusal, wait_for_discovery
@@ -46,7 +47,6 @@ RAIL = "ext_rail"  # default of parameter rail_joint
 EARLY = 0.75  # of a period: a wrench that comes sooner after the last tick makes none
 MISSING = 1.5  # periods without a tick: the timer makes one
 LOOK = 0.02  # s between two looks for others that send an offset
-REST_MARGIN = 1.0  # s beyond the fade within which the offset is at zero before this node ends
 
 
 class CorrectionNode(Managed):
@@ -100,22 +100,22 @@ class CorrectionNode(Managed):
         """Ramp in, unless somebody else sends an offset. Raises IrecError."""
         correction, offsets = self._chain(), self._outputs.offsets
         wait_for_discovery(self._made)
-        if rivals := offsets.rivals():
-            correction.supervisor.reason = self.errors["activation"] = refusal(rivals)
-            raise ActivationError(refusal(rivals))
+        if others := offsets.others():
+            correction.supervisor.reason = self.errors["activation"] = refusal(others)
+            raise ActivationError(refusal(others))
         correction.start(self._chain_clock.now(), LINGER)
         offsets.open()
 
-    def _watch_rivals(self, correction: Correction, now: float) -> None:
+    def _watch_others(self, correction: Correction, now: float) -> None:
         """Two senders make the offset jump between theirs: each of them fades out."""
         if 0.0 <= now - self._looked < LOOK:
             return
         self._looked = now
-        rivals = self._outputs.offsets.rivals() if self._outputs.offsets.is_open else ""
-        if rivals:
-            correction.watchdog.refuse("rival", Fault.RIVAL, rivals)
+        others = self._outputs.offsets.others() if self._outputs.offsets.is_open else ""
+        if others:
+            correction.watchdog.refuse("other sender", Fault.OTHER_SENDER, others)
         else:
-            correction.watchdog.clear("rival")
+            correction.watchdog.clear("other sender")
 
     def stop(self) -> None:
         """Fade the offset out; a fault stays one until somebody activates again."""
@@ -127,24 +127,16 @@ class CorrectionNode(Managed):
             self.trigger_activate()
 
     def at_work(self) -> str:
-        """An offset that is still being faded out has to come to its end first: a stream that ends before makes a step."""
+        """An offset that is still being faded out has to come to its end first."""
         correction = self._correction
-        if correction is None or correction.at_rest:
-            return ""
-        return f"the offset is in {correction.supervisor.state.name}, not at zero yet; ask again when it is INACTIVE or FAULT"
+        return "" if correction is None or correction.at_rest else not_at_zero(correction.supervisor.state)
 
     def come_to_rest(self) -> None:
         """Fade the offset out here and now, without inputs: nobody calls this node any more."""
         correction = self._correction
         if correction is None or correction.at_rest:
             return
-        begun, now = time.monotonic(), self._chain_clock.now()
-        correction.stop(now, "the node is shut down")
-        passed = 0.0
-        while not correction.at_rest and passed < correction.settings.times.fade + REST_MARGIN:
-            time.sleep(self._period)
-            passed = time.monotonic() - begun
-            self._outputs.publish(now + passed, correction.tick(now + passed))
+        fade_out_now(correction, self._chain_clock.now(), self._outputs.publish)
 
     def release(self) -> None:
         """Forget chain and model."""
@@ -325,7 +317,7 @@ class CorrectionNode(Managed):
     def _tick(self, now: float) -> None:
         self._last_tick = now
         correction = self._chain()
-        self._watch_rivals(correction, now)
+        self._watch_others(correction, now)
         out = correction.tick(now)
         self._outputs.publish(now, out)
         if out.state is not self._told:

@@ -7,7 +7,6 @@ A node that waits has none, so whoever takes the offset sees two publishers only
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 from irec_ros.senders import other_senders
@@ -32,7 +31,7 @@ class OffsetTopics:
     def is_open(self) -> bool:
         return bool(self._publishers)
 
-    def rivals(self) -> str:
+    def others(self) -> str:
         """Who else sends an offset, on any of the topics; empty where nobody does."""
         found = [other_senders(self._node, name, int(topic in self._publishers)) for topic, name in self._names.items()]
         return "; ".join(text for text in found if text)
@@ -69,9 +68,9 @@ def wait_for_discovery(began: float) -> None:
     time.sleep(max(0.0, began + DISCOVERY - time.monotonic()))
 
 
-def refusal(rivals: Sequence[str] | str) -> str:
+def refusal(others: str) -> str:
     """Why a correction is not begun beside another sender."""
     return (
-        f"an offset is sent by others already: {rivals}; end that one first"
+        f"an offset is sent by others already: {others}; end that one first"
         " (one that was killed is forgotten after half a minute at most)"
     )

@@ -70,7 +70,7 @@ class RsiInputs:
         if finding is None and abs(length - 1.0) > UNIT:
             finding = Finding(Fault.OFFSET_NOT_FINITE, f"offset holds a quaternion of length {length:g}, 1 is needed")
         if others := self._other_senders():
-            finding = Finding(Fault.RIVAL, others)
+            finding = Finding(Fault.OTHER_SENDER, others)
         if self._accept("offset topic", finding):
             self.offset.write(np.array([_steady(stamp, now), 1.0, t.x, t.y, t.z, *turn]))
 

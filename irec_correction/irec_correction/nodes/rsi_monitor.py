@@ -85,9 +85,9 @@ class RsiMonitor:
             log.info(self._text)
 
     @property
-    def rivals(self) -> str:
+    def others(self) -> str:
         """Who else sends an offset, where it is computed here; the robot gets ours by RSI all the same."""
-        return self._offsets.rivals() if self._computes else ""
+        return self._offsets.others() if self._computes else ""
 
     @property
     def silence(self) -> float:

@@ -34,6 +34,7 @@ from ..state import State
 from ..watchdog import Fault, Finding
 from . import parameters
 from .chain_clock import ChainClock
+from .fade_out import not_at_zero
 from .managed import Managed, run_managed
 from .model_checks import Mounted, calibration_in_force, read_checked
 from .offset_topics import OFFSET, refusal, wait_for_discovery
@@ -75,8 +76,8 @@ class RsiNode(Managed):
         """Let the loop follow. Raises SettingsError."""
         if self._p["source"] == "chain":
             wait_for_discovery(self._made)
-            if rivals := self._monitor.rivals:
-                raise SettingsError(refusal(rivals))
+            if others := self._monitor.others:
+                raise SettingsError(refusal(others))
         if why := self._ask("start"):
             raise SettingsError(why)
         self._monitor.state = State.INACTIVE  # a fault that was is over; the loop tells what follows
@@ -134,7 +135,7 @@ class RsiNode(Managed):
         """The controller still acts on an offset: without answers it would keep that."""
         if not self._begun or self._state_of_loop() in AT_REST or self._monitor.silence > RSI_ENDED:
             return ""
-        return f"the offset is in {self._monitor.state.name}, not at zero yet; ask again when it is INACTIVE or FAULT"
+        return not_at_zero(self._monitor.state)
 
     def _state_of_loop(self) -> State:
         self._listen(0.0)
@@ -248,7 +249,7 @@ class RsiNode(Managed):
     def _on_second(self) -> None:
         if not self._begun:
             return
-        refused = [*(f.text for f in self._inputs.refused.values()), *([self._monitor.rivals] if self._monitor.rivals else [])]
+        refused = [*(f.text for f in self._inputs.refused.values()), *([self._monitor.others] if self._monitor.others else [])]
         errors = [f"{where}: {text}" for where, text in self.errors.items()]
         self._monitor.publish_diagnostics("; ".join(refused + errors))
 
