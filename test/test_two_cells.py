@@ -214,7 +214,7 @@ def test_all_nodes_run_together_are_managed_refuse_what_is_fixed_and_end_quietly
         until(listener, sent.done, "answer")
         assert not sent.result().accepted, "it is not active"
         lifecycle(listener, "/procedure_node", ("activate",))
-        until(listener, lambda: listener.count_publishers("/irec/offset"), "correction")
+        until(listener, lambda: listener.count_publishers("/irec/correction/state"), "correction")
         listener.destroy_node()
     finally:
         rclpy.try_shutdown()

@@ -22,10 +22,10 @@ from .limits import OffsetLimiter, OffsetLimits
 from .links import Links
 from .preview import Preview
 from .spring_chain import build_chain
-from .state import State, StateTimes, Supervisor
-from .watchdog import Fault, Finding, Watchdog, WatchdogSettings
+from .state import ZERO_OFFSET, State, StateTimes, Supervisor
+from .watchdog import Fault, Finding, RailRange, Watchdog, WatchdogSettings
 
-HELD_UP = 0.5  # s between two ticks from which it is told
+HELD_UP = 0.1  # s between two ticks, after which the robot's side has begun to fade the offset out (its contract)
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class CorrectionSettings:
         lead: the offset is extrapolated by this time, s: the measured delay from force to robot. 0: not at all.
         lead_smoothing: time constant of the rate that is extrapolated, s. lead_limit: largest extrapolation, m and rad.
         need_envelope: refuse a model without the range that it was identified in.
+        held_up: s between two ticks, beyond which this process was held up: hold, then ramp in. inf: who asks for ticks pauses.
     """
 
     period: float = 0.004
@@ -46,6 +47,7 @@ class CorrectionSettings:
     lead_smoothing: float = 0.02
     lead_limit: float = 2e-4
     need_envelope: bool = False
+    held_up: float = HELD_UP
     limits: OffsetLimits = field(default_factory=OffsetLimits)
     times: StateTimes = field(default_factory=StateTimes)
     watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
@@ -97,10 +99,13 @@ class Correction:
         links: secondary encoders, or None.
     """
 
-    def __init__(self, settings: CorrectionSettings, robot: Robot, conditioner: Conditioner) -> None:
+    def __init__(
+        self, settings: CorrectionSettings, robot: Robot, conditioner: Conditioner, rail: RailRange | None = None
+    ) -> None:
+        """rail: where the external axis can be; None: there is none, or its position does not matter."""
         self.settings, self.robot = settings, robot
         self.conditioner = conditioner
-        self.watchdog = Watchdog(settings.watchdog, robot.velocity)
+        self.watchdog = Watchdog(settings.watchdog, robot.velocity, rail)
         self.supervisor = Supervisor(settings.times)
         self.limiter = OffsetLimiter(settings.limits, settings.period)
         self.counts = Counts()
@@ -142,8 +147,13 @@ class Correction:
         """Offset being sent, (6,), m and rad."""
         return np.concatenate([self.limiter.translation.value, self.limiter.rotation.value])
 
-    def start(self, now: float) -> None:
-        """Ramp in. Raises ActivationError without a model."""
+    @property
+    def at_rest(self) -> bool:
+        """No offset is sent and none is asked for: what takes the offset can do without this chain."""
+        return self.supervisor.state in (State.INACTIVE, State.FAULT) and not np.any(np.abs(self.present) > ZERO_OFFSET)
+
+    def start(self, now: float, after: float = 0.0) -> None:
+        """Ramp in, `after` s of no offset. Raises ActivationError without a model."""
         if self.deflection is None:
             raise ActivationError("no model is in force; activate one first")
         if self.supervisor.state is State.FAULT:
@@ -152,7 +162,7 @@ class Correction:
         if self.links is not None:
             self.links.start()
         self.watchdog.clear_errors()
-        self.supervisor.start(now, self.present)
+        self.supervisor.start(now, self.present, after)
 
     def stop(self, now: float, reason: str = "stopped") -> None:
         """Fade out."""
@@ -222,11 +232,15 @@ class Correction:
         self._last_tick = now
         self.counts.ticks += 1
         self.counts.late += dt > 2.0 * period
-        if dt > HELD_UP and self.supervisor.state is not State.INACTIVE:
-            self.watchdog.note(Fault.HELD_UP, f"no tick for {dt:.2f} s: this process was held up, or the clock was set")
+        finding: Finding | None = None
+        if dt > self.settings.held_up and self.supervisor.state is not State.INACTIVE:
+            text = f"no tick for {dt:.2f} s, limit {self.settings.held_up:g} s: this process was held up, or the clock was set"
+            finding = self.watchdog.note(Fault.HELD_UP, text)
+            if self.supervisor.state not in (State.RAMP_IN, State.ACTIVE):  # otherwise there is nothing to hold
+                finding = None
         if self.links is not None and self.links.is_late(now):
             self.watchdog.refuse("secondary encoders", Fault.JOINTS_STALE, "no windup from the secondary encoders")
-        finding: Finding | None = self.watchdog.finding(now, self._wrench)
+        finding = finding or self.watchdog.finding(now, self._wrench)
         if finding is None and self.deflection is not None:
             finding = self._predict(self.deflection, min(max(dt, 0.0), period))
         if finding is None and self.deflection is not None:

@@ -98,15 +98,17 @@ class Supervisor:
         self.state = State.INACTIVE
         self.reason = "not started"
         self._since = 0.0
+        self._after = 0.0  # s before the ramp begins
         self._sound_since: float | None = None
         self._held = np.zeros(6)
         self._stopped = True
         self._lost = False
 
-    def start(self, now: float, present: Array) -> None:
-        """Ask for an offset. In FAULT: acknowledge first by `stop`."""
+    def start(self, now: float, present: Array, after: float = 0.0) -> None:
+        """Ask for an offset, which begins to change `after` s from now. In FAULT: acknowledge first by `stop`."""
         self._stopped = False
-        self._go(Event.START, now, present, "ramping in")
+        if self._go(Event.START, now, present, "ramping in"):
+            self._after = after
 
     def stop(self, now: float, present: Array, reason: str = "stopped") -> None:
         """Ask for no offset: fades out, then INACTIVE. Acknowledges a FAULT."""
@@ -143,7 +145,7 @@ class Supervisor:
                 self._lost = True
         elif self.state is State.FADE:
             self._while_fading(now, finding, present, sound)
-        elif self.state is State.RAMP_IN and now - self._since >= self.times.ramp_in:
+        elif self.state is State.RAMP_IN and now - self._since >= self._after + self.times.ramp_in:
             self._go(Event.RAMPED, now, present, "")
         return self._target(now, wanted)
 
@@ -176,7 +178,7 @@ class Supervisor:
         return new is not None
 
     def _enter(self, state: State, now: float, present: Array, reason: str) -> None:
-        self.state, self.reason, self._since = state, reason, now
+        self.state, self.reason, self._since, self._after = state, reason, now, 0.0
         self._held = present.copy()
         if state is State.FADE:
             self._lost = False
@@ -185,7 +187,7 @@ class Supervisor:
         if self.state is State.ACTIVE:
             return wanted
         if self.state is State.RAMP_IN:
-            return self._held + _share(now - self._since, self.times.ramp_in) * (wanted - self._held)
+            return self._held + _share(now - self._since - self._after, self.times.ramp_in) * (wanted - self._held)
         if self.state is State.HOLD:
             return self._held
         if self.state is State.FADE:
@@ -198,5 +200,5 @@ ZERO_OFFSET = 1e-8  # m or rad: an offset below this counts as zero
 
 def _share(elapsed: float, duration: float) -> float:
     """0 at the start, 1 at the end, without a step in speed."""
-    x = 1.0 if duration <= 0.0 else min(max(elapsed / duration, 0.0), 1.0)
+    x = float(elapsed >= 0.0) if duration <= 0.0 else min(max(elapsed / duration, 0.0), 1.0)
     return x * x * (3.0 - 2.0 * x)

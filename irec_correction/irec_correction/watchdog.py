@@ -32,11 +32,13 @@ class Fault(StrEnum):
     JOINTS_JUMP = "joints_jump"
     JOINTS_NAMES = "joints_names"
     JOINTS_CLOCK = "joints_clock"
+    RAIL_RANGE = "rail_range"
     ROBOT_CHANGED = "robot_changed"
     OFFSET_STALE = "offset_stale"
     OFFSET_NOT_FINITE = "offset_not_finite"
     OFFSET_FRAME = "offset_frame"
     OFFSET_CLOCK = "offset_clock"
+    OTHER_SENDER = "other_sender"
     PREDICTION = "prediction"
     INTERNAL = "internal"
     HELD_UP = "held_up"
@@ -61,6 +63,14 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class RailRange:
+    """Where the external axis can be, m."""
+
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
 class WatchdogSettings:
     """Limits of what is believed.
 
@@ -70,6 +80,8 @@ class WatchdogSettings:
         force_jump, torque_jump: between two samples, N and N m. A step that lasts `jump_samples` samples is believed.
         joint_speed_factor: joint jumps are steps above this times the velocity limit (plus `joint_jump`, rad), over the time
             since the last angles that were believed: a gap in the messages hides no jump.
+        rail_speed: m/s, fastest the external axis can be; a step above it (plus `joint_jump`, m) is a jump as of a joint.
+        rail_margin: m beyond the range of the external axis.
         clock_tolerance: s, |stamp - now|.
         force_range, torque_range: of the sensor, any axis, N and N m.
         wrench_frame: frame_id that wrenches must have; empty: any.
@@ -85,6 +97,8 @@ class WatchdogSettings:
     jump_samples: int = 3
     joint_speed_factor: float = 1.5
     joint_jump: float = 0.01
+    rail_speed: float = 5.0
+    rail_margin: float = 0.1
     clock_tolerance: float = 0.5
     force_range: float = math.inf
     torque_range: float = math.inf
@@ -111,9 +125,9 @@ class _Stream:
 class Watchdog:
     """Checks both inputs. All times in seconds on one clock, given by the caller."""
 
-    def __init__(self, settings: WatchdogSettings, velocity_limit: Array) -> None:
-        """Args: velocity_limit: of each joint, (k,), rad/s; 0 or not finite: not known."""
-        self.settings = settings
+    def __init__(self, settings: WatchdogSettings, velocity_limit: Array, rail: RailRange | None = None) -> None:
+        """Args: velocity_limit: of each joint, (k,), rad/s; 0 or not finite: not known. rail: None: the cell has none."""
+        self.settings, self._rail_range = settings, rail
         v = np.asarray(velocity_limit, dtype=float)
         self._speed = np.where(np.isfinite(v) & (v > 0.0), v * settings.joint_speed_factor, np.inf)
         self.envelope: Envelope | None = None
@@ -130,6 +144,7 @@ class Watchdog:
         self._suspect: Array | None = None
         self._suspect_count = 0
         self._q: Array | None = None
+        self._rail = 0.0
         self._refused: dict[str, Finding] = {}
 
     def refuse(self, source: str, fault: Fault, text: str) -> None:
@@ -145,10 +160,11 @@ class Watchdog:
         for source in [s for s, f in self._refused.items() if f.fault in (Fault.INTERNAL, Fault.PREDICTION)]:
             del self._refused[source]
 
-    def note(self, fault: Fault, text: str) -> None:
-        """Something that has passed already and that nothing follows from: counted and told."""
+    def note(self, fault: Fault, text: str) -> Finding:
+        """Something that has passed already: counted and told."""
         self.counters[fault] += 1
         self.newest = Finding(fault, text)
+        return self.newest
 
     def accept_wrench(self, stamp: float, now: float, frame: str, reading: Array) -> bool:
         """Whether a reading (6,), N and N m, can be used. Times in s."""
@@ -213,7 +229,7 @@ class Watchdog:
         if j.refused is not None:
             j.follow_clock(j.refused, stamp)
             return False
-        self._q = q.copy()
+        self._q, self._rail = q.copy(), rail
         j.stamp, j.came_in = stamp, now
         return True
 
@@ -236,6 +252,26 @@ class Watchdog:
                 return Finding(
                     Fault.JOINTS_JUMP,
                     f"joint_{k + 1} jumped by {step[k]:.4f} rad in {1e3 * passed:.0f} ms, its speed allows {allowed[k]:.4f} rad",
+                )
+        return self._rail_refused(stamp, rail)
+
+    def _rail_refused(self, stamp: float, rail: float) -> Finding | None:
+        s, reach = self.settings, self._rail_range
+        if reach is None:
+            return None
+        if not reach.lower - s.rail_margin <= rail <= reach.upper + s.rail_margin:
+            return Finding(
+                Fault.RAIL_RANGE,
+                f"the rail is at {rail:.4g} m, its range is {reach.lower:g} .. {reach.upper:g} m (margin {s.rail_margin:g} m);"
+                " is it in mm?",
+            )
+        if self._q is not None:
+            passed, step = stamp - self._joints.stamp, abs(rail - self._rail)
+            allowed = s.rail_speed * passed + s.joint_jump
+            if step > allowed:
+                return Finding(
+                    Fault.JOINTS_JUMP,
+                    f"the rail jumped by {step:.4f} m in {1e3 * passed:.0f} ms, its speed allows {allowed:.4f} m",
                 )
         return None
 

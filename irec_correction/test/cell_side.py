@@ -51,6 +51,7 @@ class CellSide:
         self.types = JointState, WrenchStamped
         self.rng = np.random.default_rng(0)
         self.publishing = True
+        self.rail: float | None = None  # m; None: it is not among the joint states
         self.instead: dict[str, object] = {}  # what is sent in place of the next "joints" or "wrench"
         self.node.create_timer(0.004, self._publish)
 
@@ -65,6 +66,8 @@ class CellSide:
         joint_state, wrench = self.types
         stamp = self.node.get_clock().now().to_msg()
         j = joint_state(name=[f"joint_{k}" for k in range(1, 7)], position=array("d", Q.tolist()))
+        if self.rail is not None:
+            j.name, j.position = [*j.name, "ext_rail"], array("d", [*Q.tolist(), self.rail])
         j.header.stamp = stamp
         instead, self.instead = self.instead, {}  # once each
         self.joints.publish(instead.get("joints", j))

@@ -12,6 +12,7 @@ from irec_calibration.model import Envelope, Estimate, Model, Term
 from irec_calibration.robot import Robot
 from irec_correction.conditioning import Conditioner
 from irec_correction.correction import Correction, CorrectionSettings, Output
+from irec_correction.watchdog import RailRange
 
 URDF = Path(__file__).parents[2] / "config/robots/kr120_r2700_extra_ha.urdf"
 ROBOT = Robot.from_urdf(URDF)
@@ -33,11 +34,11 @@ class Rig:
 
     def __init__(self, settings: CorrectionSettings | None = None, **changes: object) -> None:
         self.settings = replace(settings or CorrectionSettings(), **changes)  # type: ignore[arg-type]
-        self.correction = Correction(self.settings, ROBOT, Conditioner([]))
+        self.correction = Correction(self.settings, ROBOT, Conditioner([]), RailRange(-1.5, 1.5))
         self.correction.put_in_force(model(), 0.0)
         self.now, self.ticks = 100.0, 0
         self.rng = np.random.default_rng(1)
-        self.q, self.wrench = Q.copy(), WRENCH.copy()
+        self.q, self.wrench, self.rail = Q.copy(), WRENCH.copy(), 0.0
         self.sent: list[np.ndarray] = [np.zeros(6)]
         self.outputs: list[Output] = []
 
@@ -46,7 +47,7 @@ class Rig:
             self.now += PERIOD
             self.ticks += 1
             if joints and self.ticks % 2:
-                self.correction.take_joints(self.now, self.now, self.q)
+                self.correction.take_joints(self.now, self.now, self.q, self.rail)
             if wrench:
                 noisy = self.wrench + self.rng.normal(0, (1, 1, 1, 0.1, 0.1, 0.1))
                 self.correction.take_wrench(self.now, self.now, "tool0", noisy)

@@ -185,13 +185,52 @@ def test_a_wrench_in_the_wrong_frame_is_refused_by_name():
     assert "'tool0'" in rig.outputs[-1].reason and "'ft_sensor'" in rig.outputs[-1].reason
 
 
+@pytest.mark.parametrize(("rail", "reason"), [(3.0, "its range is -1.5 .. 1.5 m"), (-1e9, "its range is"), (100.0, "in mm")])
+def test_a_rail_beyond_its_range_is_held_and_faded_with_the_reason(rail, reason):
+    rig = Rig().active()
+    rig.rail = rail
+    rig.run(0.1)
+    assert rig.outputs[-1].state is State.HOLD and reason in rig.outputs[-1].reason
+    rig.run(1.5)
+    assert rig.outputs[-1].state is State.FAULT and rig.largest_step <= STEP
+
+
+def test_a_rail_that_jumps_is_not_believed_before_it_can_be_there():
+    rig = Rig().active()
+    rig.rail = 0.9  # 5 m/s take 0.18 s for it
+    rig.run(0.1)
+    assert rig.outputs[-1].state is State.HOLD and "the rail jumped by 0.9000 m" in rig.outputs[-1].reason
+    rig.run(1.0)
+    assert rig.outputs[-1].state is State.ACTIVE and rig.largest_step <= STEP
+
+
+def test_a_rail_that_moves_as_fast_as_it_can_is_followed():
+    rig = Rig().active()
+    for _ in range(100):
+        rig.rail += 4.0 * PERIOD * (rig.rail < 1.4)
+        rig.run(PERIOD)
+        assert rig.outputs[-1].state is State.ACTIVE
+
+
 def test_a_process_that_was_held_up_says_so_afterwards():
     rig = Rig().active()
     assert Fault.HELD_UP not in rig.correction.watchdog.counters
     rig.now += 2.5
+    rig.run(0.02)
+    assert rig.outputs[-1].state is State.HOLD and "no tick for 2.50 s, limit 0.1 s" in rig.outputs[-1].reason
     rig.run(1.0)
     assert rig.outputs[-1].state is State.ACTIVE and rig.largest_step <= STEP
     assert rig.correction.watchdog.counters[Fault.HELD_UP] == 1
+
+
+def test_a_process_that_was_held_up_while_it_fades_out_goes_on_fading():
+    rig = Rig().active()
+    rig.correction.stop(rig.now)
+    rig.run(0.1)
+    rig.now += 0.3
+    rig.run(2.0)
+    assert rig.outputs[-1].state is State.INACTIVE and rig.correction.watchdog.counters[Fault.HELD_UP] == 1
+    assert rig.largest_step <= STEP
 
 
 def test_another_model_blends_over_without_a_step():

@@ -63,7 +63,7 @@ def test_no_model_file_whatever_ends_the_node_that_sends_an_offset(active, tmp_p
         assert not answer.success and "broken.yaml" in answer.message
     sent = len(active.offsets)
     active.until(lambda: len(active.offsets) > sent + 20, what="offsets after the refusals")
-    assert active.states[-1].state == ACTIVE
+    state_of(active, ACTIVE)  # where the machine has held the node up, after a ramp
     assert active.node_process.poll() is None
     assert largest_step(active) <= STEP
 
@@ -114,6 +114,13 @@ def test_a_joint_state_with_too_few_positions_and_wrenches_in_another_frame_are_
         active.until(lambda fault=fault: told(fault), what=f"counter of {fault}")
     assert active.node_process.poll() is None
     active.until(lambda: active.states[-1].state in (ACTIVE, FAULT), what="a state that lasts")
+    assert largest_step(active) <= STEP
+
+
+def test_a_rail_that_is_where_the_cell_has_none_fades_the_offset_out(active):
+    active.rail = 3.0
+    state_of(active, FAULT)
+    assert "the rail is at 3 m, its range is -1.5 .. 1.5 m" in active.states[-1].reason
     assert largest_step(active) <= STEP
 
 

@@ -71,6 +71,14 @@ def test_a_sound_model_is_accepted_with_its_largest_offset(tmp_path):
     assert "was changed" in checked.changed()
 
 
+def test_a_file_larger_than_any_model_is_refused_unread(tmp_path, monkeypatch):
+    path = tmp_path / "model.yaml"
+    path.write_text("a: [" + "1," * 1_900_000 + "1]\n")
+    monkeypatch.setattr("irec_correction.nodes.model_checks.load_model", lambda _: pytest.fail("read"))
+    with pytest.raises(ActivationError, match=r"has 3800007 bytes; a model that is put in force has 64000 at most"):
+        read_checked(path, MOUNTED)
+
+
 def test_a_soft_place_of_a_rail_is_taken_wherever_on_the_rail_it_is(tmp_path):
     rail = find_effect("rail_compliance")
     names = [p.name for p in rail.parameters(production_scene(ROBOT, np.array([0.0, 0.0, -9.81])))]

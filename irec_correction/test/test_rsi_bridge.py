@@ -226,6 +226,12 @@ def test_offsets_of_a_topic_are_followed_then_held_and_faded_when_they_stop(driv
     frame[0] = "base_link"
     t.x = t.y = t.z = 0.0  # as a correction node does that is activated again
     watcher.until(lambda: states[-1].state == CorrectionState.ACTIVE, "start after the fault", each=cell)
+    t.x, t.y, t.z = OFFSET.tolist()
+    watcher.until(arrived, "offset again", each=cell)
+    rival = watcher.node.create_publisher(TransformStamped, "irec/offset", 50)
+    watcher.until(lambda: states[-1].state == CorrectionState.FAULT, "fault beside another sender", each=cell)
+    assert "2 publishers of /irec/offset" in states[-1].reason
+    watcher.node.destroy_publisher(rival)
     assert drive.largest_step <= STEP
 
 
@@ -276,7 +282,9 @@ def test_the_lifecycle_opens_the_port_sends_offsets_fades_them_and_frees_the_por
         return int(watcher.call(GetState, "rsi_bridge/get_state", GetState.Request()).current_state.id)
 
     path = model_of_cell(tmp_path)
-    bridge = start_bridge(start_process, drive, autostart="false", wrench_block=drive.block.name, model_path=path)
+    bridge = start_bridge(
+        start_process, drive, autostart="false", wrench_block=drive.block.name, model_path=path, **{"time.fade": 3.0}
+    )
     assert state() == State.PRIMARY_STATE_UNCONFIGURED
     expected, _ = Deflection(model(), ROBOT)(Q, WRENCH[:3], WRENCH[3:], PERIOD)
     for _ in range(2):
@@ -290,8 +298,9 @@ def test_the_lifecycle_opens_the_port_sends_offsets_fades_them_and_frees_the_por
         assert change(Transition.TRANSITION_ACTIVATE)
         drive.until(lambda: np.linalg.norm(drive.sent[-1] + expected) < 3e-6, START, "offset of the model")
         assert change(Transition.TRANSITION_DEACTIVATE)
+        assert not change(Transition.TRANSITION_CLEANUP), "the robot still acts on an offset"
         drive.until(lambda: np.linalg.norm(drive.sent[-1]) < 1e-7, START, "offset faded out")
-        assert change(Transition.TRANSITION_CLEANUP)
+        watcher.until(lambda: change(Transition.TRANSITION_CLEANUP), "cleanup at zero", each=drive.cycles)
         assert state() == State.PRIMARY_STATE_UNCONFIGURED
         drive.until(lambda: not listening(drive.port), START, "free port")
     assert drive.largest_step <= STEP

@@ -345,6 +345,27 @@ def test_after_a_fault_offsets_are_followed_again_once_their_source_has_begun_at
     block.close()
 
 
+def test_offsets_that_end_at_zero_are_no_fault_and_the_next_ones_are_followed():
+    source, block = given_source()
+    now = 50.0
+    source.start(now)
+
+    def run(seconds: float, offset: float | None) -> State:
+        nonlocal now
+        for _ in range(round(seconds / PERIOD)):
+            now += PERIOD
+            if offset is not None:
+                block.write(np.array([now, 1.0, offset, 0, 0, 0, 0, 0]))
+            source.offset(now)
+        return source.state
+
+    assert run(1.0, 3e-4) is State.ACTIVE
+    assert run(0.3, 0.0) is State.ACTIVE
+    assert run(3.0, None) is State.INACTIVE and "ended at zero" in source.reason
+    assert run(1.0, 3e-4) is State.ACTIVE
+    block.close()
+
+
 def test_offsets_that_were_refused_are_held_and_faded_with_the_reason():
     source, block = given_source()
     source.start(50.0)

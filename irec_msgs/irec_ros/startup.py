@@ -36,13 +36,15 @@ def begin(name: str, **options: Any) -> bool:
 
 
 def stop_on_signals() -> threading.Event:
-    """Set by SIGINT and SIGTERM, which do nothing else from now on: whoever runs the node ends it in order.
+    """Set by SIGINT, SIGTERM and SIGHUP (its terminal has gone; ignored where the process was started so, as by nohup), which do
+    nothing else from now on: whoever runs the node ends it in order.
 
     Needs `begin(..., signal_handler_options=SignalHandlerOptions.NO)`, or rclpy takes the context away first.
     """
     asked = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: asked.set())
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda *_: asked.set())
     return asked
 
 

@@ -158,6 +158,10 @@ class Cell:
         if self.time - stamp <= self._channel.fade_after:
             self._channel.take(translation, turn, self.time)
 
+    def fade_offset(self) -> None:
+        """Two nodes send offsets: fade the last one out, follow nobody before it is at zero."""
+        self._channel.fade()
+
     def set_process(self, force_in_tool: Array | None) -> None:
         """Process force at the TCP in place of contact with the tooling, N; None: contact again."""
         self._process = None if force_in_tool is None else np.array(force_in_tool, dtype=float)

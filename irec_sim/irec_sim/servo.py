@@ -71,9 +71,16 @@ class OffsetChannel:
         self._received = -math.inf
         self._weight = 0.0
         self._late_now = False
+        self._fading = False
+
+    def fade(self) -> None:
+        """Two nodes send offsets: keep the last one, fade it out, take none before it is at zero."""
+        self._fading = True
 
     def take(self, translation: Array, turn: Array, now: float) -> None:
         """A new offset (m and rotation vector in base_link) arrived at `now` s."""
+        if self._fading:
+            return
         for part, value, limit in ((slice(0, 3), translation, self.max_translation), (slice(3, 6), turn, self.max_turn)):
             size = float(np.linalg.norm(value))
             self._wanted[part] = value * (limit / size) if size > limit else value
@@ -86,7 +93,8 @@ class OffsetChannel:
         if age > self.hold_after and math.isfinite(age) and not self._late_now:
             self.late += 1
             self._late_now = True
-        rising = enabled and age <= self.fade_after
+        self._fading = self._fading and self._weight > 0.0
+        rising = enabled and age <= self.fade_after and not self._fading
         self._weight = min(1.0, max(0.0, self._weight + (dt if rising else -dt) / self.fade_time))
         if self._weight == 0.0:
             return np.zeros(6)

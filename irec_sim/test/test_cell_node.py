@@ -21,6 +21,7 @@ pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`
 
 from action_msgs.msg import GoalStatusArray
 from cell_client import Client, client, seconds
+from geometry_msgs.msg import TransformStamped
 from irec_sim.cellfile import read_cell
 from irec_sim.course import plan_course
 from irec_sim.nodes.followers import PATIENCE
@@ -251,6 +252,25 @@ def test_an_offset_is_applied_held_and_faded(ros_domain: int, start_process: Sta
         assert max(m.offset.z for m in cell.got["robot/state"]) == pytest.approx(0.001, abs=1e-6)
         cell.wait(lambda: cell.last("robot/state").offset.z == 0.0, "fading")
         assert cell.last("robot/state").late_offsets >= 1
+
+
+def test_offsets_of_two_senders_move_the_tool_no_more_than_a_fade_does(ros_domain: int, start_process: Start) -> None:
+    start_process(cell_arguments(speed_factor=1.0), name="cell")
+    with client() as cell:
+        cell.wait_for_cell()
+
+        def send() -> None:
+            cell.send_offset(0.0, 0.0, 0.001)
+
+        def applied() -> float:
+            send()
+            return float(cell.last("robot/state").offset.z)
+
+        cell.wait(lambda: applied() > 0.00099, "the offset")
+        rival = cell.node.create_publisher(TransformStamped, "irec/offset", 10)
+        cell.wait(lambda: applied() == 0.0, "fading while the offset still comes")
+        cell.node.destroy_publisher(rival)
+        cell.wait(lambda: applied() > 0.00099, "the offset again")
 
 
 def test_an_offset_beyond_the_limit_is_cut(ros_domain: int, start_process: Start) -> None:

@@ -104,6 +104,8 @@ CORRECTION_FAULTS = (
     CorrectionFault("joints jump", "jumped|identified for|joints_jump", (FAULT, FADE, ACTIVE, RAMP_IN)),
     CorrectionFault("joints outside", "identified for|outside_joints|joints_jump", (FADE, FAULT)),
     CorrectionFault("rail NaN", "rail is nan|joints_not_finite", (FAULT,)),
+    CorrectionFault("rail elsewhere", "the rail is at|rail_range", (FAULT,)),
+    CorrectionFault("other sender", "publishers of|fault.other_sender", (FAULT,)),
     CorrectionFault("robot changed", "robot_description|robot_changed", (FAULT,)),
     CorrectionFault("clock forward", "stamped|_clock", (FAULT,)),
     CorrectionFault("clock back", "stamped|_clock", (FAULT,)),

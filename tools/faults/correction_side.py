@@ -103,6 +103,8 @@ def _joints(fault: str, now: float) -> JointState:
         names[0] = "joint_1"
     elif fault == "rail NaN":
         rail = math.nan
+    elif fault == "rail elsewhere":
+        rail = 3.0
     position = [*q.tolist(), rail]
     message = JointState(name=names, position=array("d", position[:3] if fault == "joints length" else position))
     message.header.stamp = _time(now)
@@ -270,6 +272,8 @@ class CorrectionSide:
             self._kept = Path(self.model).read_bytes()
             time.sleep(0.02)  # another time of modification
             Path(self.model).write_bytes(self._kept + b"# changed\n")
+        elif name == "other sender":
+            self._rival = s.node.create_publisher(TransformStamped, "irec/offset", 10)
         elif name.startswith("SIG"):
             process.send(signal.SIGKILL if name.startswith("SIGKILL") else signal.SIGSTOP)
         else:
@@ -277,6 +281,8 @@ class CorrectionSide:
 
     def _clear(self, fault: CorrectionFault) -> None:
         self.script.fault, self.script.hush = "", ""
+        if fault.name == "other sender":
+            self.stack.node.destroy_publisher(self._rival)
         if fault.name == "model file changed":
             Path(self.model).write_bytes(self._kept)
         if fault.name == "SIGSTOP correction":

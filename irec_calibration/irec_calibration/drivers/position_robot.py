@@ -157,6 +157,10 @@ class PositionRobot:
         if self._base is None and self.mode == POSITION and any((*translation, *turn)):
             self._base = self._reported.standing()
 
+    def fade_offset(self) -> None:
+        """Two nodes send offsets: hold the last one, fade it out, and follow nobody before it is at zero."""
+        self._offset.fade()
+
     def fault(self, reason: str) -> None:
         """Nothing more is sent until the operator clears it: the robot holds what was sent last."""
         if self.mode == FAULT:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_ros.moves import RESULT_KEPT, answer_move
+from irec_ros.senders import other_senders
 from rclpy.action import ActionServer, CancelResponse
 from scipy.spatial.transform import Rotation
 from std_srvs.srv import Trigger
@@ -40,7 +41,7 @@ class DriverCommands:
         self._no_controller, self._no_force = no_controller, no_force
         self._outcome: dict[bytes, tuple[float, str]] = {}
         node.create_subscription(WrenchStamped, "robot/force_setpoint", self._on_force, 10)
-        node.create_subscription(TransformStamped, "irec/offset", self._on_offset, 10)
+        self._offset_topic = node.create_subscription(TransformStamped, "irec/offset", self._on_offset, 10).topic_name
         node.create_service(SetControlMode, "robot/set_control_mode", self._on_mode)
         node.create_service(Trigger, "robot/clear_fault", self._on_clear)
         self._action = ActionServer(
@@ -127,8 +128,10 @@ class DriverCommands:
     def _on_offset(self, m: TransformStamped) -> None:
         t, r = m.transform.translation, m.transform.rotation
         quat = np.array([r.x, r.y, r.z, r.w])
-        problem = ""
-        if m.header.frame_id != "base_link" or m.child_frame_id != "tool0":
+        problem = other_senders(self._node, self._offset_topic, 1)
+        if problem:
+            self._robot.fade_offset()
+        elif m.header.frame_id != "base_link" or m.child_frame_id != "tool0":
             problem = f"its frames are '{m.header.frame_id}' and '{m.child_frame_id}', base_link and tool0 are needed"
         elif not abs(float(np.linalg.norm(quat)) - 1.0) <= 1e-3:
             problem = f"its rotation {quat} is no unit quaternion"

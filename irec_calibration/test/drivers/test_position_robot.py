@@ -254,6 +254,45 @@ def test_an_offset_is_cut_to_its_limit_faded_in_held_and_faded_out() -> None:
     np.testing.assert_allclose(line.q, HOME, atol=1e-9)
 
 
+def test_offsets_of_two_senders_are_held_and_faded_and_one_is_followed_again_only_from_zero() -> None:
+    line = Line()
+    largest, before = 0.0, line.p
+
+    def run(ticks: int, offset: float, contested: bool = False) -> None:
+        nonlocal largest, before
+        for _ in range(ticks):
+            if contested:
+                line.robot.fade_offset()
+            else:
+                line.robot.set_offset((0.0, offset, 0.0), (0.0, 0.0, 0.0), line.now)
+            line.tick()
+            largest, before = max(largest, float(np.linalg.norm(line.p - before))), line.p
+
+    run(100, 5e-4)
+    assert line.robot.offset[1] == pytest.approx(5e-4)
+    run(10, 0.0, contested=True)
+    assert 0.0 < line.robot.offset[1] < 5e-4
+    run(20, 0.0)  # the other one is left, and sends something else
+    assert 0.0 < line.robot.offset[1]
+    run(100, -5e-4)
+    assert line.robot.offset[1] == pytest.approx(-5e-4)
+    assert largest < 1.5e-5, "0.5 mm within 0.5 s, at 100 Hz"
+
+
+def test_an_offset_that_comes_again_while_the_last_one_fades_makes_no_step() -> None:
+    line = Line()
+    for _ in range(100):
+        line.robot.set_offset((0.0, 5e-4, 0.0), (0.0, 0.0, 0.0), line.now)
+        line.tick()
+    line.run(0.3)
+    largest, before = 0.0, line.p
+    for _ in range(100):
+        line.robot.set_offset((0.0, -5e-4, 0.0), (0.0, 0.0, 0.0), line.now)
+        line.tick()
+        largest, before = max(largest, float(np.linalg.norm(line.p - before))), line.p
+    assert line.robot.offset[1] == pytest.approx(-5e-4) and largest < 1.5e-5
+
+
 def test_a_robot_that_does_not_follow_is_in_fault_until_somebody_clears_it() -> None:
     line = Line()
     ended = line.move(PLANNER.joint(HOME, {"joint_1": 0.5}, 0.5))

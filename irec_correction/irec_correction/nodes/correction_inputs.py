@@ -56,7 +56,9 @@ class CorrectionInputs:
         given = len(message.position)
         q = np.array([message.position[i] for i in self._columns if i < given], dtype=float)
         stamp = self._clock.of(message.header.stamp)
-        rail = message.position[self._rail] if self._rail is not None and self._rail < given else 0.0
+        rail = 0.0
+        if self._rail is not None:
+            rail = message.position[self._rail] if self._rail < given else math.nan  # named, but without a position
         now = self._clock.now(stamp)
         self._correction.take_joints(stamp, now, q, rail)
         if self._links is not None and q.shape == (len(self._wanted),) and np.isfinite(q).all():

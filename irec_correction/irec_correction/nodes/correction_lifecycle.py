@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import threading
+import time
 
 from geometry_msgs.msg import WrenchStamped
-from irec_calibration.cell import read_cell
+from irec_calibration.cell import Cell, read_cell
 from irec_calibration.errors import IrecError
-from irec_calibration.procedure.axes import Axes, read_axes
-from irec_calibration.robot import Payload, Robot
+from irec_calibration.procedure.axes import read_axes
+from irec_calibration.robot import Robot
 from irec_calibration.sensors.tool_load import ToolLoad
 from irec_ros.diagnostics import Diagnostics
 from irec_ros.parameters import Parameters
@@ -24,7 +25,7 @@ from irec_msgs.srv import ActivateModel
 
 from ..conditioning import Conditioner, make_filters, sensor_in_tool
 from ..correction import Correction
-from ..errors import SettingsError
+from ..errors import ActivationError, SettingsError
 from ..filters import delay_cost
 from ..orientations import Orientations
 from ..realtime import settle_memory
@@ -34,8 +35,10 @@ from . import parameters
 from .chain_clock import ChainClock
 from .correction_inputs import CorrectionInputs
 from .correction_outputs import CorrectionOutputs
+from .fade_out import fade_out_now, not_at_zero
 from .managed import Managed, run_managed
 from .model_checks import CheckedModel, Mounted, calibration_in_force, read_checked
+from .offset_topics import LINGER, refusal, wait_for_discovery
 from .tool_load_service import create_services
 
 SENSOR_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -43,6 +46,7 @@ LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabi
 RAIL = "ext_rail"  # default of parameter rail_joint
 EARLY = 0.75  # of a period: a wrench that comes sooner after the last tick makes none
 MISSING = 1.5  # periods without a tick: the timer makes one
+LOOK = 0.02  # s between two looks for others that send an offset
 
 
 class CorrectionNode(Managed):
@@ -51,6 +55,9 @@ class CorrectionNode(Managed):
 
     def __init__(self) -> None:
         super().__init__("correction_node")
+        self._made = time.monotonic()
+        self._looked = -1.0  # for others that send an offset
+        self._told = State.INACTIVE  # in diagnostics, at once
         self._p = Parameters(self, (*parameters.CORRECTION, *parameters.LINKS))
         refuse_unknown_parameters(self)
         for name in [p.name for p in parameters.CORRECTION if p.settable]:
@@ -86,8 +93,29 @@ class CorrectionNode(Managed):
 
     def start(self) -> None:
         """Follow the model. Raises IrecError."""
-        self._chain().start(self._chain_clock.now())
+        self._begin()
         self.errors = {}
+
+    def _begin(self) -> None:
+        """Ramp in, unless somebody else sends an offset. Raises IrecError."""
+        correction, offsets = self._chain(), self._outputs.offsets
+        wait_for_discovery(self._made)
+        if others := offsets.others():
+            correction.supervisor.reason = self.errors["activation"] = refusal(others)
+            raise ActivationError(refusal(others))
+        correction.start(self._chain_clock.now(), LINGER)
+        offsets.open()
+
+    def _watch_others(self, correction: Correction, now: float) -> None:
+        """Two senders make the offset jump between theirs: each of them fades out."""
+        if 0.0 <= now - self._looked < LOOK:
+            return
+        self._looked = now
+        others = self._outputs.offsets.others() if self._outputs.offsets.is_open else ""
+        if others:
+            correction.watchdog.refuse("other sender", Fault.OTHER_SENDER, others)
+        else:
+            correction.watchdog.clear("other sender")
 
     def stop(self) -> None:
         """Fade the offset out; a fault stays one until somebody activates again."""
@@ -98,14 +126,29 @@ class CorrectionNode(Managed):
         if self.trigger_configure() is TransitionCallbackReturn.SUCCESS and self._in_force is not None and self._p["model_path"]:
             self.trigger_activate()
 
+    def at_work(self) -> str:
+        """An offset that is still being faded out has to come to its end first."""
+        correction = self._correction
+        return "" if correction is None or correction.at_rest else not_at_zero(correction.supervisor.state)
+
+    def come_to_rest(self) -> None:
+        """Fade the offset out here and now, without inputs: nobody calls this node any more."""
+        correction = self._correction
+        if correction is None or correction.at_rest:
+            return
+        fade_out_now(correction, self._chain_clock.now(), self._outputs.publish)
+
     def release(self) -> None:
         """Forget chain and model."""
+        if self._correction is not None:
+            self._outputs.offsets.close()
         self._correction, self._in_force = None, None
 
     def configure(self) -> None:
         """Build the chain and put the stated model in force. Raises IrecError."""
         p = self._p
-        robot, serial, tool, payload, axes = self._mounted_robot()
+        cell, robot, serial, tool = self._mounted_robot()
+        payload, axes = (None, None) if cell is None else (cell.payload, read_axes(cell))
         raw = bool(p["raw_wrench"])
         frame = str(p["sensor_frame"]) if raw else "tool0"
         gravity = p.three("gravity")
@@ -123,7 +166,7 @@ class CorrectionNode(Managed):
         self._mounted = Mounted(robot, serial, tool, gravity, payload, settings.period, p["predicted_limit"],
                                 settings.need_envelope, recorded_rail.removeprefix("ext_"))  # fmt: skip
         self._chain_clock = ChainClock(self)
-        self._correction = Correction(settings, robot, conditioner)
+        self._correction = Correction(settings, robot, conditioner, parameters.rail_range(cell))
         self._correction.preview = parameters.preview(p, robot)
         encoders = parameters.links(p, robot)
         self._correction.links = encoders[0] if encoders else None
@@ -145,16 +188,16 @@ class CorrectionNode(Managed):
             self._compare_robot(self._described)
         self._offer(raw)
 
-    def _mounted_robot(self) -> tuple[Robot, str, str, Payload | None, Axes | None]:
-        """Robot, its serial, name of the tool, payload, axes."""
+    def _mounted_robot(self) -> tuple[Cell | None, Robot, str, str]:
+        """Cell where there is a file of it, robot, its serial, name of the tool."""
         p = self._p
         if p["cell"]:
             cell = read_cell(p["cell"])
             serial, tool = str(p["robot_serial"]) or cell.serial, str(p["tool"]) or cell.tool_name
-            return cell.robot, serial, tool, cell.payload, read_axes(cell)
+            return cell, cell.robot, serial, tool
         if self._described is None:
             raise SettingsError("neither parameter 'cell' nor a message on robot_description says which robot this is")
-        return Robot(self._described, "robot_description"), str(p["robot_serial"]), str(p["tool"]), None, None
+        return None, Robot(self._described, "robot_description"), str(p["robot_serial"]), str(p["tool"])
 
     def _chain(self) -> Correction:
         if self._correction is None:
@@ -202,9 +245,9 @@ class CorrectionNode(Managed):
         try:
             response.sha256 = self._put_in_force(request.model_path)
             if self.active and correction.supervisor.state is State.INACTIVE:
-                correction.start(self._chain_clock.now())
+                self._begin()
             elif not self.active and (self._p["autostart"] or correction.supervisor.state is State.FAULT):
-                self.trigger_activate()
+                self.go_through(self.trigger_activate)
         except IrecError as error:
             response.message = str(error)
             return response
@@ -240,13 +283,19 @@ class CorrectionNode(Managed):
         else:  # readable or not
             watchdog.refuse(source, Fault.ROBOT_CHANGED, "robot_description is not that of the model in force")
 
+    # a message or a timer may have been due already when the node was cleaned up
+
     def _on_joints(self, message: JointState) -> None:
-        self._inputs.take_joints(message)
+        if self._correction is not None:
+            self._inputs.take_joints(message)
 
     def _on_links(self, message: JointState) -> None:
-        self._inputs.take_links(message)
+        if self._correction is not None:
+            self._inputs.take_links(message)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
+        if self._correction is None:
+            return
         now = self._inputs.take_wrench(message)
         if not 0.0 <= now - self._last_tick < EARLY * self._period:
             self._tick(now)
@@ -259,18 +308,27 @@ class CorrectionNode(Managed):
     # -- output --------------------------------------------------------------------------------------------------------
 
     def _on_missing_tick(self) -> None:
+        if self._correction is None:
+            return
         now = self._chain_clock.now()
         if not 0.0 <= now - self._last_tick < MISSING * self._period:
             self._tick(now)
 
     def _tick(self, now: float) -> None:
         self._last_tick = now
-        out = self._chain().tick(now)
+        correction = self._chain()
+        self._watch_others(correction, now)
+        out = correction.tick(now)
         self._outputs.publish(now, out)
+        if out.state is not self._told:
+            self._told = out.state
+            self._on_second()
         if out.state is State.FAULT and self.active:
             self.trigger_deactivate()  # stays in FAULT; so "activate" is what the operator can ask for
 
     def _on_second(self) -> None:
+        if self._correction is None:
+            return
         self._outputs.publish_diagnostics("; ".join(f"{where}: {text}" for where, text in self.errors.items()))
 
 

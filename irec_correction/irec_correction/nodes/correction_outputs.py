@@ -21,6 +21,7 @@ from ..state import State
 from .chain_clock import ChainClock
 from .messages import correction_status, fill_offset, fill_state, fill_wrench
 from .model_checks import CheckedModel
+from .offset_topics import JOINT_OFFSET, OFFSET, OffsetTopics
 
 OUT_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 STATE_PERIOD = 0.1  # s
@@ -33,6 +34,7 @@ class CorrectionOutputs:
     Attributes:
         entities: (destroy function, entity) of each.
         in_force: model that the state names.
+        offsets: topics of the offset, open while one is asked for.
     """
 
     def __init__(
@@ -48,8 +50,9 @@ class CorrectionOutputs:
         self._state_sent: tuple[float, State | None] = (-1.0, None)
         self.entities: list[tuple[Any, Any]] = []
         self.in_force: CheckedModel | None = None
-        self._offset_out = self._publisher(TransformStamped, "irec/offset") if outputs[0] else None
-        self._joint_out = self._publisher(JointTrajectory, "irec/joint_offset") if outputs[1] else None
+        kinds = {OFFSET: TransformStamped} if outputs[0] else {}
+        self.offsets = OffsetTopics(node, kinds | ({JOINT_OFFSET: JointTrajectory} if outputs[1] else {}), OUT_QOS)
+        self._with_joints = outputs[1]
         self._joints = JointTrajectory(joint_names=list(joint_names), points=[JointTrajectoryPoint()])
         self._state_out = self._publisher(CorrectionState, "irec/correction/state")
         self._process_out = self._publisher(WrenchStamped, "irec/wrench_process")
@@ -66,13 +69,13 @@ class CorrectionOutputs:
         stamp = self._clock.stamp(now)
         self._offset.header.stamp = stamp
         fill_offset(self._offset, out, self._offset_frame)
-        if self._offset_out is not None:
-            self._offset_out.publish(self._offset)
-        if self._joint_out is not None:
+        self.offsets.publish(OFFSET, self._offset)
+        if self._with_joints and self.offsets.is_open:
             step = joint_offset(self._correction.robot, self._correction.joint_angles, out.translation, out.rotation)
             self._joints.header.stamp = stamp
             self._joints.points[0].positions = step.tolist()
-            self._joint_out.publish(self._joints)
+            self.offsets.publish(JOINT_OFFSET, self._joints)
+        self.offsets.close_after(self._correction.at_rest, now)
         fill_wrench(self._process, stamp, out.wrench_at_tcp)
         self._process_out.publish(self._process)
         self._publish_state(now, out)

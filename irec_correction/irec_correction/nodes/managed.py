@@ -24,7 +24,8 @@ class Managed(GuardedLifecycleNode):
     """A lifecycle node by what it does in each transition.
 
     A node gives `configure` and `start`, which raise IrecError where they can't, `stop`, and `release`, which takes back what
-    `configure` did, however far it came. What is in `entities` is destroyed then too.
+    `configure` did, however far it came. What is in `entities` is destroyed before that, so that nobody calls what is closed.
+    `at_work` and `come_to_rest` keep what the node sends from ending in a step.
     """
 
     def __init__(self, name: str) -> None:
@@ -49,13 +50,20 @@ class Managed(GuardedLifecycleNode):
         """Close what `configure` has opened, as far as it came."""
         raise NotImplementedError
 
+    def at_work(self) -> str:
+        """Why the node can't be cleaned up now; empty where it can."""
+        return ""
+
+    def come_to_rest(self) -> None:
+        """Bring what is sent to its end, for at most some seconds: the node is shut down, or its process ends."""
+
     def ended(self) -> None:
         """Called once, when the process has done its work."""
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             self.configure()
-        except IrecError as error:
+        except Exception as error:  # unexpected ones too: rclpy would end the life of the node and tell nobody why
             self._free()
             return self._failed("configured", error)
         return TransitionCallbackReturn.SUCCESS
@@ -63,21 +71,24 @@ class Managed(GuardedLifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             self.start()
-        except IrecError as error:
+        except Exception as error:
             return self._failed("activated", error)
         self.active = True
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self.stop()
+        self.guarded("deactivation", self.stop)()
         self.active = False
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        if why := self.at_work():
+            return self._failed("cleaned up", SettingsError(why))
         self._free()
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.come_to_rest()  # a shutdown can't be refused
         self._free()
         return TransitionCallbackReturn.SUCCESS
 
@@ -88,15 +99,15 @@ class Managed(GuardedLifecycleNode):
                 raise SettingsError(self.refused)
 
     def _free(self) -> None:
-        self.release()
         self.active = False
         for destroy, entity in self.entities:
             destroy(entity)
         self.entities.clear()
+        self.release()
 
-    def _failed(self, what: str, error: IrecError) -> TransitionCallbackReturn:
-        self.refused = str(error)
-        self.get_logger().error(f"not {what}: {error}")
+    def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
+        self.refused = str(error) if isinstance(error, IrecError) else f"unexpected error: {type(error).__name__}: {error}"
+        self.get_logger().error(f"not {what}: {self.refused}")
         return TransitionCallbackReturn.FAILURE
 
 
@@ -133,6 +144,7 @@ def run_managed(
     try:
         spin_until(asked_to_stop, node.guarded("executor", executor.spin_once))
     finally:
+        node.guarded("the end of the process", node.come_to_rest)()
         node.ended()
         rclpy.try_shutdown()
     return 0

@@ -24,7 +24,8 @@ from ..errors import ActivationError, SettingsError
 
 SHARE_OF_PERIOD = 0.5
 EVALUATIONS = 30
-LARGEST_FILE = 4_000_000  # bytes
+# bytes: a model has some 10 kB; reading one stops the correction for 2 ms per kB at worst, and a driver holds an offset for 0.1 s
+LARGEST_FILE = 64_000
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,10 @@ def _read_checked(path: Path, mounted: Mounted) -> CheckedModel:
     if not stat.S_ISREG(found.st_mode):
         raise ActivationError(f"{path}: is not a file")
     if found.st_size > LARGEST_FILE:
-        raise ActivationError(f"{path}: has {found.st_size} bytes; a model has {LARGEST_FILE} at most")
+        raise ActivationError(
+            f"{path}: has {found.st_size} bytes; a model that is put in force has {LARGEST_FILE} at most, as reading a larger one"
+            " would hold up the correction: is it a model? Its history may be left out of a copy"
+        )
     digest = file_sha256(path)
     model = load_model(path)
     if file_sha256(path) != digest:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from irec_calibration.cell import Cell
 from irec_calibration.model.plausibility import LARGEST_OFFSET
 from irec_calibration.robot import Robot
 from irec_calibration.sensors.tool_load import ToolLoad
@@ -21,7 +22,9 @@ from ..link_angles import LinkAngles, read_dry_drive
 from ..links import LATE, Links
 from ..preview import ForceProfile, Preview, read_profile
 from ..state import StateTimes
-from ..watchdog import WatchdogSettings
+from ..watchdog import RailRange, WatchdogSettings
+
+ANY_RAIL = 100.0  # m
 
 CORRECTION = (
     P("cell", "", "cell file (irec-cell/1): robot, serial, sensor; empty: robot_description and robot_serial"),
@@ -81,7 +84,9 @@ CORRECTION = (
     P("watch.torque_jump", 100.0, "between two samples", 0.1, 1e5, unit="N m"),
     P("watch.jump_samples", 3, "samples after which a jump that stays is believed", 2, 1000),
     P("watch.joint_speed_factor", 1.5, "times the velocity limit: a faster joint is not believed", 1.0, 100.0),
-    P("watch.joint_jump", 0.01, "allowed on top of that", 0.0, 1.0, unit="rad"),
+    P("watch.joint_jump", 0.01, "allowed on top of that; for the rail m", 0.0, 1.0, unit="rad"),
+    P("watch.rail_speed", 5.0, "fastest the rail can be: a faster one is not believed", 1e-3, 20.0, unit="m/s"),
+    P("watch.rail_margin", 0.1, "margin beyond the range of the rail in the cell file", 0.0, 10.0, unit="m"),
     P("watch.clock_tolerance", 0.5, "largest distance of a stamp from now", 0.001, 60.0, unit="s"),
     P("watch.force_range", 1e5, "range of the sensor, any axis", 1.0, 1e6, unit="N"),
     P("watch.torque_range", 1e5, "range of the sensor, any axis", 1.0, 1e6, unit="N m"),
@@ -156,6 +161,13 @@ def outputs(v: Parameters) -> tuple[bool, bool]:
     if output not in ("offset", "joint_offset", "both"):
         raise SettingsError(f"parameter 'output' is '{output}'; offset, joint_offset or both is possible")
     return output != "joint_offset", output != "offset"
+
+
+def rail_range(cell: Cell | None) -> RailRange | None:
+    """Where the rail of a cell can be; of a robot without a cell file nobody knows, but no rail is longer than ANY_RAIL."""
+    if cell is None:
+        return RailRange(-ANY_RAIL, ANY_RAIL)
+    return None if cell.rail is None else RailRange(float(cell.rail.lower), float(cell.rail.upper))
 
 
 def correction_settings(v: Parameters, wrench_frame: str) -> CorrectionSettings:

@@ -26,13 +26,19 @@ class RsiInputs:
 
     Attributes:
         refused: source -> why its messages are not used now.
+        closed: the blocks are gone; what still comes is dropped.
     """
 
-    def __init__(self, clock: ChainClock, wrench_frame: str, tolerance: float, wrench_range: float, refuse: Refuse) -> None:
-        """Args: tolerance: between stamp and now, s. wrench_range: N or N m. refuse: tells the loop (source, why or None)."""
-        self._clock, self._refuse = clock, refuse
+    def __init__(
+        self, clock: ChainClock, wrench_frame: str, tolerance: float, wrench_range: float, refuse: Refuse,
+        other_senders: Callable[[], str] = str,
+    ) -> None:  # fmt: skip
+        """Args: tolerance: between stamp and now, s. wrench_range: N or N m. refuse: tells the loop (source, why or None).
+        other_senders: that send offsets beside the one that is followed, empty where there are none."""
+        self._clock, self._refuse, self._other_senders = clock, refuse, other_senders
         self.wrench, self.offset = SharedValues.create(WRENCH_SIZE), SharedValues.create(OFFSET_SIZE)
         self.refused: dict[str, Finding] = {}
+        self.closed = False
         self._count = 0
         self._wrench_check = TopicCheck(
             "wrench", wrench_frame, tolerance, wrench_range, Fault.WRENCH_FRAME, Fault.WRENCH_CLOCK, Fault.WRENCH_RANGE
@@ -43,6 +49,8 @@ class RsiInputs:
 
     def take_wrench(self, message: WrenchStamped) -> None:
         """One reading."""
+        if self.closed:
+            return
         f, t = message.wrench.force, message.wrench.torque
         values = f.x, f.y, f.z, t.x, t.y, t.z
         stamp, now = self._clock.of(message.header.stamp), self._clock.now()
@@ -52,6 +60,8 @@ class RsiInputs:
 
     def take_offset(self, message: TransformStamped) -> None:
         """One offset that somebody else has computed."""
+        if self.closed:
+            return
         t, r = message.transform.translation, message.transform.rotation
         turn = rotation_vector(r.x, r.y, r.z, r.w)
         stamp, now = self._clock.of(message.header.stamp), self._clock.now()
@@ -59,6 +69,8 @@ class RsiInputs:
         length = float(np.linalg.norm([r.x, r.y, r.z, r.w]))
         if finding is None and abs(length - 1.0) > UNIT:
             finding = Finding(Fault.OFFSET_NOT_FINITE, f"offset holds a quaternion of length {length:g}, 1 is needed")
+        if others := self._other_senders():
+            finding = Finding(Fault.OTHER_SENDER, others)
         if self._accept("offset topic", finding):
             self.offset.write(np.array([_steady(stamp, now), 1.0, t.x, t.y, t.z, *turn]))
 

@@ -22,6 +22,7 @@ from ..rsi.report import KEPT, REPORT_SIZE, WHERE, counts
 from ..shared import SharedValues
 from ..state import State
 from .messages import LEVELS, fill_quaternion, fill_vector, fill_wrench
+from .offset_topics import OFFSET, OffsetTopics
 
 OUT_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 MONITOR_RATE = 100.0  # Hz
@@ -55,15 +56,16 @@ class RsiMonitor:
         self._joints_out = node.create_publisher(JointState, "joint_states", OUT_QOS)
         self._pose_out = node.create_publisher(PoseStamped, "tcp_pose", OUT_QOS)
         self._diagnostics = diagnostics
+        self._offsets = OffsetTopics(node, {OFFSET: TransformStamped} if computes else {}, OUT_QOS)
         if computes:
-            self._offset_out = node.create_publisher(TransformStamped, "irec/offset", OUT_QOS)
             self._process_out = node.create_publisher(WrenchStamped, "irec/wrench_process", OUT_QOS)
             self._state_out = node.create_publisher(CorrectionState, "irec/correction/state", OUT_QOS)
         else:  # irec/correction/state is that of the correction node
             self._state_out = node.create_publisher(CorrectionState, "~/state", OUT_QOS)
         made = [self._joints_out, self._pose_out, self._state_out]
-        made += [self._offset_out, self._process_out] if computes else []
+        made += [self._process_out] if computes else []
         self.entities = [(node.destroy_publisher, publisher) for publisher in made]
+        self.entities.append((OffsetTopics.close, self._offsets))
 
     def take(self, kind: str, content: Any) -> None:
         """A message of the loop: ("state", (number, reason)) or ("problem", text, empty when it is over)."""
@@ -83,6 +85,16 @@ class RsiMonitor:
             log.info(self._text)
 
     @property
+    def others(self) -> str:
+        """Who else sends an offset, where it is computed here; the robot gets ours by RSI all the same."""
+        return self._offsets.others() if self._computes else ""
+
+    @property
+    def silence(self) -> float:
+        """s since the newest packet of the controller; the time since the machine's start where there was none."""
+        return time.monotonic() - float(self._values[WHERE["now"]][0])
+
+    @property
     def _text(self) -> str:
         return f"{self.state.name}{': ' + self._reason if self._reason else ''}"
 
@@ -99,10 +111,14 @@ class RsiMonitor:
         fill_quaternion(self._pose.pose.orientation, Rotation.from_euler("ZYX", v[WHERE["abc"]]).as_rotvec())
         self._pose_out.publish(self._pose)
         if self._computes:
+            at_rest = self.state in (State.INACTIVE, State.FAULT)
+            if not at_rest:
+                self._offsets.open()
+            self._offsets.close_after(at_rest, time.monotonic())
             self._offset.header.stamp = stamp
             fill_vector(self._offset.transform.translation, v[WHERE["translation"]])
             fill_quaternion(self._offset.transform.rotation, v[WHERE["rotation"]])
-            self._offset_out.publish(self._offset)
+            self._offsets.publish(OFFSET, self._offset)
             fill_wrench(self._process, stamp, v[WHERE["wrench"]])
             self._process_out.publish(self._process)
         if time.monotonic() - self._state_sent > STATE_PERIOD:
@@ -129,7 +145,7 @@ class RsiMonitor:
         for name, share in (("p50", 50), ("p99", 99), ("max", 100)):
             known[f"latency_{name}_s"] = float(np.percentile(latency, share))
         level, text = LEVELS[self.state], self._text
-        if time.monotonic() - self._values[WHERE["now"]][0] > SILENT:
+        if self.silence > SILENT:
             level, text = WARN, f"no packet of the controller; {text}"
         if note:
             level, text = max(level, WARN), f"{text}; {note}"

@@ -18,6 +18,7 @@ from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
 from irec_ros.diagnostics import Diagnostics
 from irec_ros.parameters import Parameters
+from irec_ros.senders import other_senders
 from irec_ros.startup import refuse_unknown_parameters
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import TransitionCallbackReturn
@@ -26,20 +27,25 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from irec_msgs.srv import ActivateModel
 
 from ..errors import SettingsError
+from ..rsi.bridge import SHUTDOWN_MARGIN
 from ..rsi.report import KEPT, REPORT_SIZE
 from ..shared import SharedValues
 from ..state import State
 from ..watchdog import Fault, Finding
 from . import parameters
 from .chain_clock import ChainClock
+from .fade_out import not_at_zero
 from .managed import Managed, run_managed
 from .model_checks import Mounted, calibration_in_force, read_checked
+from .offset_topics import OFFSET, refusal, wait_for_discovery
 from .rsi_inputs import RsiInputs
 from .rsi_monitor import MONITOR_RATE, RsiMonitor
 from .rsi_setup import bridge_setup
 
 IN_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 ANSWER_WAIT = 2.0  # s for the loop to carry out a command
+AT_REST = (State.INACTIVE, State.FAULT)
+RSI_ENDED = 1.5  # s without a packet, after which the controller has stopped by its time-out and holds no offset
 
 
 class RsiNode(Managed):
@@ -50,6 +56,7 @@ class RsiNode(Managed):
 
     def __init__(self, pipe: Connection) -> None:
         super().__init__("rsi_bridge")
+        self._made = time.monotonic()
         own = {q.name for q in parameters.RSI}
         fixed = [replace(q, settable=False) for q in parameters.CORRECTION if q.name not in own]  # the loop gets them once
         self._p = p = Parameters(self, (*fixed, *parameters.RSI))
@@ -67,6 +74,10 @@ class RsiNode(Managed):
 
     def start(self) -> None:
         """Let the loop follow. Raises SettingsError."""
+        if self._p["source"] == "chain":
+            wait_for_discovery(self._made)
+            if others := self._monitor.others:
+                raise SettingsError(refusal(others))
         if why := self._ask("start"):
             raise SettingsError(why)
         self._monitor.state = State.INACTIVE  # a fault that was is over; the loop tells what follows
@@ -88,7 +99,7 @@ class RsiNode(Managed):
         wrench_frame = str(p["sensor_frame"]) if p["raw_wrench"] else "tool0"
         self._inputs = RsiInputs(
             self._clock_of_chain, wrench_frame, p["watch.clock_tolerance"], max(p["watch.force_range"], p["watch.torque_range"]),
-            self._pass_on_refusal,
+            self._pass_on_refusal, lambda: other_senders(self, self.resolve_topic_name(OFFSET), 1),
         )  # fmt: skip
         self._mounted = Mounted(
             self._cell.robot, self._serial, str(p["tool"]) or self._cell.tool_name, p.three("gravity"), self._cell.payload,
@@ -120,10 +131,22 @@ class RsiNode(Managed):
             self.errors["calibrations"] = why
             self.get_logger().error(f"no model is in force: {why}")
 
+    def at_work(self) -> str:
+        """The controller still acts on an offset: without answers it would keep that."""
+        if not self._begun or self._state_of_loop() in AT_REST or self._monitor.silence > RSI_ENDED:
+            return ""
+        return not_at_zero(self._monitor.state)
+
+    def _state_of_loop(self) -> State:
+        self._listen(0.0)
+        return self._monitor.state
+
     def release(self) -> None:
-        """Free the port and the blocks."""
+        """Free the port and the blocks; a loop that still sends an offset fades it out first."""
         if self._begun:
-            self._ask("release")
+            self._inputs.closed = True
+            if why := self._ask("release", wait=ANSWER_WAIT + self._p["time.fade"] + SHUTDOWN_MARGIN):
+                self.get_logger().error(f"the port may still be open: {why}")
         self._begun = False
         self._close_blocks()
 
@@ -159,21 +182,24 @@ class RsiNode(Managed):
                 made.append((self.destroy_subscription, subscribe(WrenchStamped, topic, self._inputs.take_wrench, IN_QOS)))
         else:
             take = self._inputs.take_offset
-            made.append((self.destroy_subscription, subscribe(TransformStamped, "irec/offset", take, IN_QOS)))
+            made.append((self.destroy_subscription, subscribe(TransformStamped, OFFSET, take, IN_QOS)))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         for period, callback in ((1.0 / MONITOR_RATE, self._on_timer), (1.0, self._on_second)):
             made.append((self.destroy_timer, self.create_timer(period, callback, clock=steady)))
 
     # -- commands to the loop ------------------------------------------------------------------------------------------
 
-    def _ask(self, command: str, argument: Any = None) -> str:
-        """Empty, or why the loop did not do it."""
+    def _ask(self, command: str, argument: Any = None, wait: float = ANSWER_WAIT) -> str:
+        """Empty, or why the loop did not do it within so many s."""
+        if not self._begun:
+            return "rsi_bridge is not configured; configure it first"
+        self._listen(0.0)  # an answer that came too late is not that of this command
         self._answers.clear()
         self._pipe.send((command, argument))
-        end = time.monotonic() + ANSWER_WAIT
+        end = time.monotonic() + wait
         while not self._answers:
             if time.monotonic() > end:
-                return f"the RSI loop did not answer within {ANSWER_WAIT} s"
+                return f"the RSI loop did not answer within {wait:g} s"
             self._listen(0.05)
         return self._answers.pop()
 
@@ -213,13 +239,17 @@ class RsiNode(Managed):
     # -- out of the loop -----------------------------------------------------------------------------------------------
 
     def _on_timer(self) -> None:
+        if not self._begun:  # it was due already when the node was cleaned up
+            return
         self._listen(0.0)
         self._monitor.publish()
         if self._monitor.state is State.FAULT and self.active and self._p["source"] == "chain":
             self.trigger_deactivate()  # stays in FAULT; so "activate" is what the operator can ask for
 
     def _on_second(self) -> None:
-        refused = [f.text for f in self._inputs.refused.values()]
+        if not self._begun:
+            return
+        refused = [*(f.text for f in self._inputs.refused.values()), *([self._monitor.others] if self._monitor.others else [])]
         errors = [f"{where}: {text}" for where, text in self.errors.items()]
         self._monitor.publish_diagnostics("; ".join(refused + errors))
 
@@ -234,7 +264,8 @@ class RsiNode(Managed):
         """Tell the loop that an input is refused (None: no longer); the loop does not answer that."""
         if finding is not None:
             self.get_logger().warning(f"{source} is not used: {finding.text}", throttle_duration_sec=5.0)
-        self._pipe.send(("refused", (source, finding)))
+        if self._begun:
+            self._pipe.send(("refused", (source, finding)))
 
     def ended(self) -> None:
         """Remove the blocks; the loop keeps its own hold on them."""

@@ -59,6 +59,7 @@ def bridge_setup(
             profile=parameters.profile(p, cell.robot),
             preview_lead=p["preview.lead"],
             preview_slack=p["preview.slack"],
+            rail=parameters.rail_range(cell),
         )
     link = Link(str(p["address"]), int(p["port"]), str(p["peer"]), str(p["sentype"]))
     return BridgeSetup(

@@ -4,11 +4,12 @@ started it.
 
 A process serves one setup after another: `release` ends a loop, and the next setup begins one.
 When the other side goes away the offset fades out and the loop goes on answering with zero, so that the robot is not stopped
-by its own time-out. On SIGINT or SIGTERM it fades out, then ends.
+by its own time-out. On SIGINT, SIGTERM or SIGHUP it fades out, then ends.
 """
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 import time
@@ -19,7 +20,7 @@ from irec_calibration.errors import IrecError
 
 from ..correction import CorrectionSettings
 from ..realtime import prefer_processor, prefer_thread, settle_memory
-from ..setups import next_setup
+from ..setups import next_setup, on_end
 from ..shared import SharedValues
 from ..state import State
 from .loop import Link, RsiLoop
@@ -71,11 +72,12 @@ class Bridge:
         self._problem = ""
         self._fade = setup.correction.times.fade
         self._end: float | None = None
+        self._released = False  # the other side waits for the end of this loop
         self.stopped = False  # by a signal or by the end of the other side, not by `release`
 
     def run(self) -> None:
         """Answer until a signal or `release`, then until the offset has gone."""
-        before = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = on_end(self._on_signal)
         try:
             self.loop.run(self._continue)
         finally:
@@ -84,6 +86,9 @@ class Bridge:
                 block.close()
             for number, handler in before.items():
                 signal.signal(number, handler)
+        if self._released and self._pipe is not None:
+            with contextlib.suppress(OSError):  # the other side has gone meanwhile
+                self._pipe.send(("answer", ""))  # only now port and blocks are free, and the next setup is waited for
 
     def _on_signal(self, number: int, frame: object) -> None:
         self.stopped = True
@@ -107,6 +112,9 @@ class Bridge:
                 command, argument = pipe.recv()
                 if command == "refused":
                     self.source.refuse(*argument)
+                elif command == "release":
+                    self._released = True
+                    self._fade_and_end()
                 else:
                     pipe.send(("answer", self._execute(command, argument)))
             now = (self.source.state, self.source.reason)
@@ -133,8 +141,6 @@ class Bridge:
                     self.source.start(now)
                 case "stop":
                     self.source.stop(now)
-                case "release":
-                    self._fade_and_end()
                 case other:
                     return f"the RSI loop can't {other} here"
         except IrecError as error:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -22,7 +23,7 @@ from ..preview import ForceProfile, Preview
 from ..shared import WRENCH_SIZE, SharedValues
 from ..spring_chain import build_chain
 from ..state import ZERO_OFFSET, State, Supervisor
-from ..watchdog import Fault, Finding
+from ..watchdog import Fault, Finding, RailRange
 from .answers import per_answer
 from .codec import RobotPacket
 from .report import FAULTS, WHERE
@@ -78,6 +79,7 @@ class ChainSettings:
         wrench_block: name of the shared memory that the sensor's process writes.
         profile, preview_lead, preview_slack: force that is known along the course, s from a reading to the motion that it causes,
             s by which it may come sooner or later.
+        rail: where the first external axis can be; None: there is none.
         raw: the block holds readings in `sensor_frame`; otherwise wrenches at the TCP.
     """
 
@@ -94,6 +96,7 @@ class ChainSettings:
     profile: ForceProfile | None = None
     preview_lead: float = 0.0
     preview_slack: float = 0.0
+    rail: RailRange | None = None
 
 
 class ChainSource:
@@ -104,8 +107,9 @@ class ChainSource:
         self._frame = settings.sensor_frame if settings.raw else "tool0"
         sensor = sensor_in_tool(robot, settings.sensor_frame) if settings.raw else None
         conditioner = Conditioner(make_filters(settings.filters), sensor, settings.load, settings.cable, settings.gravity)
-        correction = replace(settings.correction, limits=per_answer(settings.correction.limits))
-        self.chain = Correction(correction, robot, conditioner)
+        # without packets there are no ticks, and the joint states are stale
+        correction = replace(settings.correction, limits=per_answer(settings.correction.limits), held_up=math.inf)
+        self.chain = Correction(correction, robot, conditioner, settings.rail)
         if settings.profile is not None:
             self.chain.preview = Preview(
                 settings.profile, settings.preview_lead, make_filters(settings.filters), slack=settings.preview_slack
@@ -189,8 +193,8 @@ class GivenSource:
     """Offsets that another process writes, for example from the topic irec/offset: limited again here, held, then faded when
     stale.
 
-    Asked to start, it waits for the first sound offset. After a FAULT it starts again when an offset of zero comes: whoever gives
-    the offsets has been started again by its operator.
+    Asked to start, it waits for the first sound offset, and again after the offsets have ended at zero. After a FAULT it starts
+    again when an offset of zero comes: whoever gives the offsets has been started again by its operator.
     """
 
     def __init__(self, settings: CorrectionSettings, block: SharedValues, timeout: float) -> None:
@@ -242,6 +246,11 @@ class GivenSource:
             self._supervisor.start(now, self._present)
 
     @property
+    def _at_zero(self) -> bool:
+        """Neither asked for nor sent: whoever gives the offsets has ended in order."""
+        return not np.any(np.abs(np.concatenate([self._wanted, self._present])) > ZERO_OFFSET)
+
+    @property
     def _present(self) -> Array:
         return np.concatenate([self._limiter.translation.value, self._limiter.rotation.value])
 
@@ -275,8 +284,11 @@ class GivenSource:
         if finding is None:
             self._wanted = self._values[2:8].copy()
             self._start_when_sound(now)
-        elif finding.fault is not self._standing:
-            self._faults[finding.fault] += 1
+        else:
+            if finding.fault is not self._standing:
+                self._faults[finding.fault] += 1
+            if finding.fault is Fault.OFFSET_STALE and self._at_zero and self.state is not State.FAULT:
+                self._supervisor.stop(now, self._present, "waiting for an offset: it ended at zero")
         self._standing = finding.fault if finding is not None else None
         dt = self._period if self._last is None else now - self._last
         self._last = now

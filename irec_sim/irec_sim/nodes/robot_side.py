@@ -12,6 +12,7 @@ import numpy as np
 from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_ros.guard import GuardedNode
 from irec_ros.moves import RESULT_KEPT, answer_move
+from irec_ros.senders import other_senders
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -75,7 +76,7 @@ class RobotSide:
         )
         node.create_service(SetControlMode, "robot/set_control_mode", self._on_mode)
         node.create_subscription(WrenchStamped, "robot/force_setpoint", self._on_force, depth)
-        node.create_subscription(TransformStamped, "irec/offset", self._on_offset, depth)
+        self._offset_topic = node.create_subscription(TransformStamped, "irec/offset", self._on_offset, depth).topic_name
 
     @property
     def in_motion(self) -> bool:
@@ -258,6 +259,10 @@ class RobotSide:
             self._node.get_logger().warning(f"force set point ignored: {error}", throttle_duration_sec=5.0)
 
     def _on_offset(self, message: TransformStamped) -> None:
+        if others := other_senders(self._node, self._offset_topic, 1):
+            self._loop.call(self._cell.fade_offset)
+            self._node.get_logger().warning(f"offset ignored: {others}", throttle_duration_sec=5.0)
+            return
         t, r = message.transform.translation, message.transform.rotation
         translation, quaternion = np.array([t.x, t.y, t.z]), np.array([r.x, r.y, r.z, r.w])
         if not np.isfinite(translation).all() or abs(np.linalg.norm(quaternion) - 1.0) > QUATERNION_TOLERANCE:
