@@ -179,7 +179,8 @@ def force_rises(p: Procedure) -> str:
     if not p.moving or len(read) < 2:
         return ""
     size = float(np.linalg.norm(read, axis=1).min())
-    limit = p.force_at_move + touch_limit(p)
+    margin = touch_limit(p) if p.state == "retract" else unloaded_limit(p)  # nothing swings while it moves slowly
+    limit = p.force_at_move + margin
     if not size > limit:
         return ""
     return (

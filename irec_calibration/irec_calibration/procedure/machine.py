@@ -306,6 +306,7 @@ class Procedure:
         """What was recorded of the pose under way does not count; it is measured again by a run that goes on with this one."""
         if self.recorded:
             self.event("discarded", reason)
+            self.recorded = 0
         if not self.outcome:
             self.skip(reason)
 

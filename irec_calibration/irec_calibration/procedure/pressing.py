@@ -28,8 +28,7 @@ TOUCH_N = 30.0  # N along the tool: there is contact
 LOOK_WAY, RISE_WINDOW = 1e-4, 0.02  # m of advance in contact over which the force, a mean over so many s, has to have risen
 NOISES = 3.0  # standard deviations of that rise
 STEP_SHARE, STEP_TOLERANCES = 0.3, 8.0  # of the normal force, and settling tolerances: a step of the force that no robot makes
-STEP_WINDOW, STEP_GRACE = 0.06, 1.0  # s before the step that are averaged; s after another normal force was asked for
-STEP_NEAR = 0.2  # share of the normal force within which it had been
+STEP_WINDOW, STEP_NEAR = 0.06, 0.2  # s before the step that are averaged; share of the normal force within which it had been
 
 
 class PressingWatch:
@@ -39,7 +38,6 @@ class PressingWatch:
         self._p = procedure
         self._near_at = 0.0  # cell's elapsed time when the force was last near its set point, or on the way to it
         self._mark: tuple[float, float] | None = None  # way, m, and force along the tool, N, since which it has to rise
-        self._normal, self._normal_at = 0.0, 0.0  # set point along the tool, N, and the cell's elapsed time when it changed
 
     def problem(self) -> str:
         """Why the run is to end; empty where it may go on, and in all states that do not press."""
@@ -47,8 +45,7 @@ class PressingWatch:
         if p.state not in PRESSING or p.target is None:
             self._mark = None
             return ""
-        if p.setpoint[2] != self._normal:
-            self._normal, self._normal_at = float(p.setpoint[2]), p.time.elapsed
+        self._touched()
         if reason := self._late() or self._stepped() or self._left():
             return reason
         mean = p.streams.mean_force(p.window_from, SIGN_WINDOW)
@@ -63,6 +60,13 @@ class PressingWatch:
             )
         return self._way(float(mean[2]))
 
+    def _touched(self) -> None:
+        """Where the tool was when the force first rose: the arm gives way from then on."""
+        p = self._p
+        newest, tcp = p.streams.last_forces(2), p.streams.newest_tcp
+        if p.p_touch is None and tcp is not None and len(newest) == 2 and float(np.abs(newest[:, 2]).min()) > TOUCH_N:
+            p.p_touch = tcp[0]
+
     def _way(self, read: float) -> str:
         """The way of the TCP since the reference against the force along the tool, N."""
         p = self._p
@@ -74,8 +78,6 @@ class PressingWatch:
         if p.state != "contact":
             return self._goes_on(float((tcp[0] - p.p_contact) @ z), z) if p.p_contact is not None else ""
         if abs(read) > TOUCH_N:
-            if p.p_touch is None:
-                p.p_touch = tcp[0]
             return self._no_rise(way)
         wanted = float(p.setpoint[2])
         if way < -AWAY:
@@ -143,19 +145,20 @@ class PressingWatch:
     def _stepped(self) -> str:
         """A force along the tool that steps while the same is asked for: bias set anew, a cable, or the contact is lost."""
         p = self._p
-        if p.state == "contact" or p.time.elapsed - self._normal_at <= STEP_GRACE:
+        if p.state == "contact":
             return ""
         newest, before = p.streams.last_forces(2), p.streams.force_before(2, STEP_WINDOW)
         if before is None or len(newest) < 2:
             return ""
-        was, limit = float(before[2]), max(STEP_SHARE * abs(self._normal), STEP_TOLERANCES * p.settings.settling.force_n)
-        if abs(was - self._normal) > STEP_NEAR * abs(self._normal):
+        was, wanted = float(before[2]), float(p.setpoint[2])
+        limit = max(STEP_SHARE * abs(wanted), STEP_TOLERANCES * p.settings.settling.force_n)
+        if abs(was - wanted) > STEP_NEAR * abs(wanted):  # it had not been reached yet, or is another one now
             return ""
         steps = newest[:, 2] - was
         if not (np.abs(steps).min() > limit and steps[0] * steps[1] > 0.0):
             return ""
         return (
-            f"the force along the tool has stepped from {was:.0f} to {newest[-1, 2]:.0f} N while {self._normal:.0f} N was"
+            f"the force along the tool has stepped from {was:.0f} to {newest[-1, 2]:.0f} N while {wanted:.0f} N was"
             f" asked for all the time, limit {limit:.0f} N: was the sensor's bias set anew under load, or is the contact lost?"
         )
 

@@ -63,7 +63,7 @@ class Checks:
     surface_m: float = 0.01
     advance_share: float = 0.5
     advance_m: float = 2e-4
-    lift_speed: float = 0.01
+    lift_speed: float = 0.005
     marker_m: float = 1e-3
     least_wrench_hz: float = 50.0
     least_states_hz: float = 25.0

@@ -166,7 +166,7 @@ def test_a_robot_that_is_found_pressing_in_position_control_is_led_out_before_it
         robot.tick()
     robot.start().run()
     first = next(c for c in robot.commands if isinstance(c, MoveJoint | MoveLinear))
-    assert isinstance(first, MoveLinear) and first.p_in_base[2] == pytest.approx(-0.053) and first.speed == 0.01
+    assert isinstance(first, MoveLinear) and first.p_in_base[2] == pytest.approx(-0.053) and first.speed == 0.005
     assert len(robot.rows) == 4 and robot.is_safe
 
 

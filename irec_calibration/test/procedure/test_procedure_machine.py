@@ -64,7 +64,7 @@ def test_the_robot_advances_only_from_the_approach_pose_and_goes_back_there() ->
     moves = [c for c in robot.commands if isinstance(c, MoveJoint | MoveLinear)]
     assert [type(m).__name__ for m in moves] == ["MoveJoint", "MoveJoint", "MoveLinear", "MoveLinear", "MoveLinear"]
     assert moves[2].p_in_base[2] == pytest.approx(-0.003)  # type: ignore[union-attr]
-    assert moves[3].p_in_base[2] == pytest.approx(-0.006) and moves[3].speed == 0.01  # type: ignore[union-attr]
+    assert moves[3].p_in_base[2] == pytest.approx(-0.006) and moves[3].speed == 0.005  # type: ignore[union-attr]
     assert moves[4].p_in_base[2] == pytest.approx(-0.15)  # type: ignore[union-attr]
 
 
