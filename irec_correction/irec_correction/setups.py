@@ -8,9 +8,15 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 
+def ending_signals() -> tuple[signal.Signals, ...]:
+    """The signals that ask a process to end; SIGHUP is one where it is not ignored, as it is under `nohup`."""
+    hang_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
+    return (signal.SIGINT, signal.SIGTERM, *hang_up)
+
+
 def next_setup(pipe: Connection) -> tuple[Any, int]:
     """The next setup and 0; or None and the exit code of the process: 0 after a signal, 2 where the node has ended or refused."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # while it waits; what is set up takes signals itself
+    for number in ending_signals():  # while it waits; what is set up takes signals itself
         # by name: a process that a script has put into the background was born with SIGINT ignored
         signal.signal(number, signal.default_int_handler)
     try:

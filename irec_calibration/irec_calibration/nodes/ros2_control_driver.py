@@ -212,7 +212,7 @@ class Ros2ControlDriver(GuardedNode):
 
 
 def main() -> int:
-    """Until SIGINT or SIGTERM; 2 where a parameter or file is wrong."""
+    """Until SIGINT, SIGTERM or SIGHUP; 2 where a parameter or file is wrong."""
     return run_node("ros2_control_driver", Ros2ControlDriver, IrecError)
 
 

@@ -176,16 +176,17 @@ def _judge_unloaded(p: Procedure, off: Array, silent: bool) -> None:
 def force_rises(p: Procedure) -> str:
     """Why the move out of the contact under way is to be cancelled: the force rises where it is to fall. Empty: it does not."""
     read = p.streams.last_forces(2)
-    if not p.moving or len(read) < 2:
+    if not p.moving or len(read) < 2 or not np.isfinite(p.force_at_move).all():
         return ""
-    size = float(np.linalg.norm(read, axis=1).min())
     margin = touch_limit(p) if p.state == "retract" else unloaded_limit(p)  # nothing swings while it moves slowly
-    limit = p.force_at_move + margin
-    if not size > limit:
+    began, largest = p.force_at_move, p.settings.force_abort_n
+    pressing, limit = float((-read[:, 2]).min()), max(0.0, -float(began[2])) + margin
+    size, limit_of_all = float(np.linalg.norm(read, axis=1).min()), max(largest, float(np.linalg.norm(began)) + margin)
+    if not (pressing > limit or size > limit_of_all):
         return ""
     return (
-        f"the robot presses harder on its way out of the contact: {size:.0f} N, {p.force_at_move:.0f} N when it began, limit"
-        f" {limit:.0f} N: the move leads into the surface, and was cancelled"
+        f"the robot presses harder on its way out of the contact: {newtons(read[-1])} N, {newtons(began)} N when it began, limit"
+        f" {limit:.0f} N along the tool and {limit_of_all:.0f} N in all: the move leads into the surface, and was cancelled"
     )
 
 

@@ -92,7 +92,7 @@ class Procedure:
         self.setpoint = np.zeros(3)
         self.force_before: Array | None = None  # mean force when the set point was changed
         self.force_unloaded = np.zeros(3)  # read at the approach of the pose under way, then at its reference, (3,), N
-        self.force_at_move = 0.0  # norm when the move under way was asked for, N
+        self.force_at_move = np.zeros(3)  # when the move under way was asked for, (3,), N; NaN: not known
         self.p_contact: Array | None = None  # TCP by the controller when contact was made at it, m in base_link
         self.p_touch: Array | None = None  # likewise when the tool touched
         self.p_pressed: list[Array] = []  # mean of it in each load case that was recorded at the pose
@@ -343,7 +343,7 @@ class Procedure:
         self.moved, self.moving, self.goal, self.is_out, self.stood_at = False, True, command, False, np.nan
         tcp, force = self.streams.newest_tcp, self.streams.newest_force
         self.moved_from = None if tcp is None else tcp[0]
-        self.force_at_move = 0.0 if force is None or not np.isfinite(force).all() else float(np.linalg.norm(force))
+        self.force_at_move = np.full(3, np.nan) if force is None else force
         self.out.append(command)
 
     def switch(self, force: bool, force_in_tool: Array) -> None:

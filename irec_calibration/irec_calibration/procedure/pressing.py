@@ -26,7 +26,7 @@ SIGN_WINDOW = 0.04  # s
 AWAY = 3e-3  # m against the direction of pressing
 TOUCH_N = 30.0  # N along the tool: there is contact
 LOOK_WAY, RISE_WINDOW = 1e-4, 0.02  # m of advance in contact over which the force, a mean over so many s, has to have risen
-NOISES = 3.0  # standard deviations of that rise
+NOISES, NOISE_WINDOW = 5.0, 0.2  # standard deviations of that rise, and s from whose readings they are found
 STEP_SHARE, STEP_TOLERANCES = 0.3, 8.0  # of the normal force, and settling tolerances: a step of the force that no robot makes
 STEP_WINDOW, STEP_NEAR = 0.06, 0.2  # s before the step that are averaged; share of the normal force within which it had been
 
@@ -108,7 +108,7 @@ class PressingWatch:
         least = p.settings.checks.least_stiffness
         if rise >= least * gone:
             self._mark = way, force
-        elif rise < least * gone - NOISES * np.sqrt(2.0) * float(read.std()) / np.sqrt(len(read)):
+        elif rise < least * gone - NOISES * self._noise(len(read)):
             return (
                 f"the force does not rise with the way: the tool has advanced by {1e3 * gone:.2f} mm in contact and the wrench"
                 f" has gone from {self._mark[1]:.1f} to {force:.1f} N along the tool, at least {least * gone:.1f} N more are"
@@ -116,6 +116,11 @@ class PressingWatch:
                 " repeat a reading?"
             )
         return ""
+
+    def _noise(self, n: int) -> float:
+        """Standard deviation of the difference of two means of n readings, N; a steady rise is no part of it."""
+        steps = np.diff(self._p.streams.forces_of(NOISE_WINDOW)[:, 2])
+        return float(steps.std()) / np.sqrt(n) if len(steps) > 1 else np.inf
 
     def _goes_on(self, further: float, z: np.ndarray) -> str:
         """At its set point the force holds the tool where it is; `further`, m, into the surface since then."""

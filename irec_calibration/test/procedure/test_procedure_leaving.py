@@ -214,3 +214,11 @@ def test_noise_and_a_tool_that_swings_are_no_change_of_the_unloaded_force() -> N
     robot.force_noise = 15.0
     robot.start().run()
     assert robot.procedure.counts.complete == 2
+
+
+def test_a_sensor_whose_bias_was_set_anew_under_load_does_not_hold_the_robot_in_the_contact() -> None:
+    robot = leaving()
+    robot.extra_force = np.array([0.0, 0.0, 1100.0])
+    robot.run(60.0)
+    assert "has stepped" in robot.procedure.stopped_because and "presses harder" not in robot.procedure.stopped_because
+    assert "stand_off" not in robot.states and robot.is_safe and not robot.procedure.counts.complete

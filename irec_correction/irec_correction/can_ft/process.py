@@ -20,7 +20,7 @@ import numpy as np
 from irec_calibration.errors import IrecError
 
 from ..realtime import prefer_thread, settle_memory
-from ..setups import next_setup
+from ..setups import ending_signals, next_setup
 from ..shared import WRENCH_SIZE, SharedValues
 from .netft_can import Reading
 from .reader import ReaderCounts, ReaderSettings, SensorReader
@@ -57,7 +57,7 @@ class SensorProcess:
 
     def run(self) -> None:
         """Until a signal or `release`. The other side may go away."""
-        before = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {number: signal.signal(number, self._on_signal) for number in ending_signals()}
         try:
             self.reader.run(self._continue)
         finally:

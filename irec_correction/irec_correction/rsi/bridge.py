@@ -4,7 +4,7 @@ started it.
 
 A process serves one setup after another: `release` ends a loop, and the next setup begins one.
 When the other side goes away the offset fades out and the loop goes on answering with zero, so that the robot is not stopped
-by its own time-out. On SIGINT or SIGTERM it fades out, then ends.
+by its own time-out. On SIGINT, SIGTERM or SIGHUP it fades out, then ends.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from irec_calibration.errors import IrecError
 
 from ..correction import CorrectionSettings
 from ..realtime import prefer_processor, prefer_thread, settle_memory
-from ..setups import next_setup
+from ..setups import ending_signals, next_setup
 from ..shared import SharedValues
 from ..state import State
 from .loop import Link, RsiLoop
@@ -75,7 +75,7 @@ class Bridge:
 
     def run(self) -> None:
         """Answer until a signal or `release`, then until the offset has gone."""
-        before = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {number: signal.signal(number, self._on_signal) for number in ending_signals()}
         try:
             self.loop.run(self._continue)
         finally:
