@@ -60,6 +60,7 @@ class FakeRobot:
         self.marker = np.array([2.0, 0.0, 0.0])
         self.sees_marker = True
         self.delivers_force = True
+        self.force_every, self._force_at = 0.0, 0.0  # s between two wrenches; 0: one each tick
         self.delivers_joints = True  # and tcp_pose
         self.force_share = np.ones(3)  # what the contact can hold of the wanted force
         self.extra_force = np.zeros(3)
@@ -157,7 +158,8 @@ class FakeRobot:
         self.tcp = self.tcp + self.sliding * dt * self.force_control
         self.tcp = self.tcp + [0.0, 0.0, self.presses_in * dt * self.force_control]
         self._marker_at = self.tcp.copy()  # where the arm gives way the marker stands
-        if self.delivers_force:
+        if self.delivers_force and self.now >= self._force_at:
+            self._force_at = self.now + self.force_every
             noisy = self.force + self.extra_force + self.rng.normal(0, self.force_noise, 3)
             self.streams.add_wrench(self.now, (*noisy, 0.0, 0.0, 0.0))
         if self.sees_marker:
