@@ -35,16 +35,22 @@ def begin(name: str, **options: Any) -> bool:
     return True
 
 
+def ending_signals() -> tuple[signal.Signals, ...]:
+    """The signals that ask a process to end."""
+    hang_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
+    return (signal.SIGINT, signal.SIGTERM, *hang_up)
+
+
 def stop_on_signals() -> threading.Event:
-    """Set by SIGINT, SIGTERM and SIGHUP (its terminal has gone; ignored where the process was started so, as by nohup), which do
-    nothing else from now on: whoever runs the node ends it in order.
+    """Set by SIGINT, SIGTERM and SIGHUP, which do nothing else from now on: whoever runs the node ends it in order.
+
+    SIGHUP comes where the terminal or the connection to it is closed; under `nohup` it stays ignored.
 
     Needs `begin(..., signal_handler_options=SignalHandlerOptions.NO)`, or rclpy takes the context away first.
     """
     asked = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, lambda *_: asked.set())
+    for number in ending_signals():
+        signal.signal(number, lambda *_: asked.set())
     return asked
 
 

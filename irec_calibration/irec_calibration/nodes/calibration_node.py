@@ -137,7 +137,7 @@ def _fill(response: SolveCompliances.Response, model: Model) -> None:
 
 
 def main() -> int:
-    """Serve until SIGINT or SIGTERM."""
+    """Serve until SIGINT, SIGTERM or SIGHUP."""
     return run_process("calibration_node", _work, IrecError)
 
 

@@ -284,7 +284,7 @@ class ProcedureNode(GuardedLifecycleNode):
 
 
 def main() -> int:
-    """Run until SIGINT or SIGTERM; a run under way is ended retracted first."""
+    """Run until SIGINT, SIGTERM or SIGHUP; a run under way is ended retracted first."""
     return run_process("procedure_node", _work, IrecError)
 
 

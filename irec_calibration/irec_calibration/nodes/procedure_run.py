@@ -53,7 +53,8 @@ class ProcedureRun:
         folder = Path(parameters["session_folder"])
         path = Path(request.session_path) if request.session_path else _new_path(folder, cell, link.namespace)
         seed = parameters["order_seed"] if parameters["order_seed"] >= 0 else secrets.randbelow(2**31)
-        self.recorder = SessionRecorder(path, cell, parameters, resume=request.resume, order_seed=seed)
+        planned = {p.index: np.array([*p.q, *([] if cell.rail is None else [p.ext.get("rail", 0.0)])]) for p in poses}
+        self.recorder = SessionRecorder(path, cell, parameters, resume=request.resume, order_seed=seed, planned=planned)
         self.procedure = Procedure(
             targets, cell.forces_in_tool, cell.home, settings, instruments.inputs.streams,
             {station.name: station.R_in_cell for station in cell.stations},

@@ -155,7 +155,7 @@ class RecorderNode(GuardedNode):
 
 
 def main() -> int:
-    """Record until SIGINT or SIGTERM, then write what has arrived by then and finish the file."""
+    """Record until SIGINT, SIGTERM or SIGHUP, then write what has arrived by then and finish the file."""
     return run_process("recorder", _work, RecordingError)
 
 

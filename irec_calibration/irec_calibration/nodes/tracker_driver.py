@@ -183,7 +183,7 @@ def _source(text: str) -> tuple[str, str]:
 
 
 def main() -> int:
-    """Until SIGINT or SIGTERM; 2 where a parameter is wrong."""
+    """Until SIGINT, SIGTERM or SIGHUP; 2 where a parameter is wrong."""
     return run_process("tracker_driver", _work, IrecError)
 
 

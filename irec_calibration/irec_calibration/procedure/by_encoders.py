@@ -41,12 +41,12 @@ def unsettled_by_encoders(
     for source, columns, way in (("the TCP", "xyz", window.p_tcp_in_base), ("", names, at_tcp)):
         std, moving = way.std(axis=0), drift(way)
         worst, furthest = int(std.argmax()), int(moving.argmax())
-        if std[worst] > s.marker_std_m:
+        if not std[worst] <= s.marker_std_m:
             return (
                 f"{_what(source, columns[worst])}: standard deviation {std[worst] * 1e6:.0f} um at the TCP,"
                 f" limit {s.marker_std_m * 1e6:.0f} um"
             )
-        if moving[furthest] > s.marker_drift_m:
+        if not moving[furthest] <= s.marker_drift_m:
             return (
                 f"{_what(source, columns[furthest])}: drift of {moving[furthest] * 1e6:.1f} um at the TCP per half window,"
                 f" limit {s.marker_drift_m * 1e6:.1f} um"

@@ -63,7 +63,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Event:
-    """For the record: `kind` is complete, skipped, rejected, paused, resumed, stopped or finished."""
+    """For the record: `kind` is complete, skipped, rejected, discarded (rows that do not count), paused, stopped or finished."""
 
     kind: str
     pose: int

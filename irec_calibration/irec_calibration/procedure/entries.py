@@ -10,10 +10,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..typing import Array
+from .arrival import AIR_WINDOW, presses_still, touch_limit, way_out_is_known
 from .by_encoders import commanded_problem
 from .checks import contact_problem, contact_problem_by_encoders
 from .commands import MoveJoint, MoveLinear, Row
-from .plausible import Standing
+from .marker_way import contact_way_problem
+from .plausible import Standing, newtons
 from .standstill import Window
 
 if TYPE_CHECKING:
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
 
 WITHDRAW = 0.05  # m along the tool, from a contact that a run finds
 FIRST_POSE_LIMIT = 0.5  # share of the load cases of the first pose that may be rejected
-UNLOADED_N, UNLOADED_SHARE = 20.0, 0.15  # N and share of the normal force: more before contact is no process force
 SAME_TIME = 0.1  # s between readings that may be compared with each other
 FRESH = 0.3  # s of the machine's clock: joint angles that came longer ago say nothing about where the robot is now
 
@@ -31,6 +32,9 @@ def nothing(p: Procedure) -> None:
     if p.state == "paused":
         p.event("paused", "")
     elif p.state == "finished":
+        if presses_still(p):
+            still = f"the wrench still reads a force{_newest_newtons(p)}"
+            p.add_reason(f"{still}: where that is contact, drive the robot free by hand, nothing moves it any more")
         _judge_rejections(p, p.settings.skip_limit)
         p.event("stopped" if p.stopped_because else "finished", p.stopped_because)
 
@@ -46,13 +50,13 @@ def move_out(p: Procedure) -> None:
     if tcp is None:
         raise RuntimeError("a run was started without readings of tcp_pose")
     R = Rotation.from_quat(tcp[1]).as_matrix()
-    p.move(MoveLinear(tcp[0] - WITHDRAW * R[:, 2], R, p.settings.linear_speed))
+    p.move(MoveLinear(tcp[0] - WITHDRAW * R[:, 2], R, _slow(p)))
 
 
 def begin_pose(p: Procedure) -> None:
     """Nothing is recorded of it yet. Draws the order of the load cases."""
     p.pose_since, p.recorded, p.case, p.outcome = p.since_elapsed, 0, 0, ""
-    p.p_contact, p.p_pressed = None, []
+    p.p_contact, p.p_touch, p.p_pressed, p.reference = None, None, [], None
     if p.seed is not None and p.target is not None:
         drawn = np.random.default_rng([p.seed, p.target.pose, p.repeat]).permutation(len(p.forces))
         p.order = tuple(int(j) + 1 for j in drawn)
@@ -70,7 +74,7 @@ def move_home(p: Procedure) -> None:
 def move_to_approach(p: Procedure) -> None:
     """Line 5."""
     target = p.work[p.index][0]
-    if problem := _standing_problem(p, p.home):
+    if problem := _standing_problem(p):
         p.stop(problem)
         return
     p.move(MoveJoint(target.q_approach, target.rail, p.settings.home_speed))
@@ -79,15 +83,16 @@ def move_to_approach(p: Procedure) -> None:
 def move_to_reference(p: Procedure) -> None:
     """Lines 6 and 7."""
     target = p.work[p.index][0]
-    if problem := _standing_problem(p, target.q_approach, target.rail):
+    if problem := _standing_problem(p):
         p.stop(problem)
         return
-    p.force_in_air = p.streams.newest_force
+    read = p.streams.mean_force(-np.inf, AIR_WINDOW)
+    p.force_unloaded = np.zeros(3) if read is None else read
     p.move(MoveLinear(target.p_reference, target.R_tool_in_base, p.settings.linear_speed))
 
 
-def _standing_problem(p: Procedure, q: Array | None = None, rail: float | None = None) -> str:
-    """What of the newest readings of the standing robot does not agree; q, rail: where it was to go."""
+def _standing_problem(p: Procedure) -> str:
+    """What of the newest readings of the standing robot does not agree."""
     joints, tcp, marker = p.streams.newest_joints, p.streams.newest_tcp, p.streams.newest_marker
     if p.plausibility is None or joints is None or tcp is None or not p.streams.stands:
         return ""
@@ -96,9 +101,7 @@ def _standing_problem(p: Procedure, q: Array | None = None, rail: float | None =
         return ""  # one of them has stopped: the watch over silence says which
     seen = marker is not None and marker[0] > max(p.streams.newest().values()) - SAME_TIME
     place = marker[1:] if marker is not None and seen else (None, "")
-    s = _standing(p, joints, tcp[0], tcp[1], *place)
-    arrived = "" if q is None else p.plausibility.arrival_problem(s, q, rail)
-    return arrived or p.plausibility.problem(s)
+    return p.plausibility.problem(_standing(p, joints, tcp[0], tcp[1], *place))
 
 
 def _standing(p: Procedure, joints: Array, p_tcp: Array, quat: Array, p_marker: Array | None, station: str) -> Standing:
@@ -123,11 +126,11 @@ def record_and_switch(p: Procedure) -> None:
             p.stop(problem)
             return
     read = window.force_in_tool.mean(axis=0)
-    limit = max(UNLOADED_N, UNLOADED_SHARE * abs(float(p.forces[0][2])))
+    limit = touch_limit(p)
     if float(np.linalg.norm(read)) > limit:
         _refuse_reference(p, read, limit)
         return
-    p.reference = window
+    p.reference, p.force_unloaded = window, read
     _record(p, 0)
     p.case = 1
     p.switch(True, _normal(p))
@@ -135,8 +138,8 @@ def record_and_switch(p: Procedure) -> None:
 
 def _refuse_reference(p: Procedure, read: Array, limit: float) -> None:
     """A force at the reference is contact made too early, or bias or weight that was not removed: that reads in free air too."""
-    in_air = p.force_in_air
-    if in_air is not None and float(np.linalg.norm(in_air)) <= limit:
+    in_air = p.force_unloaded
+    if float(np.linalg.norm(in_air)) <= limit:
         p.skip(
             f"the tool touches the tooling at the reference already: the wrench reads {np.round(read).tolist()} N, limit"
             f" {limit:.0f} N, and {np.round(in_air).tolist()} N in free air; the tooling stands nearer than the cell file says"
@@ -192,7 +195,8 @@ def _contact_problem(p: Procedure, window: Window, reference: Window) -> str:
     station = p.station_rotation.get(reference.station)
     if station is None:
         return f"the tracker reports as '{reference.station}', which the cell file does not name"
-    return contact_problem(window, reference, station.T @ R_tool, p.settings)
+    problem = contact_problem(window, reference, station.T @ R_tool, p.settings)
+    return problem or contact_way_problem(window, reference, p.p_touch, station, R_tool, p.settings.checks.marker_m)
 
 
 def _window(p: Procedure) -> Window:
@@ -209,6 +213,20 @@ def _record(p: Procedure, load_case: int) -> None:
 def count_case(p: Procedure) -> None:
     """Line 22."""
     p.case += 1
+
+
+def move_off(p: Procedure) -> None:
+    """Line 25: off the surface along the tool, to the place of the reference or as far from where the robot is."""
+    target, tcp = p.work[p.index][0], p.streams.newest_tcp
+    if tcp is None:
+        raise RuntimeError("the robot is to leave the contact without readings of tcp_pose")
+    z = target.R_tool_in_base[:, 2]
+    way = max(float((tcp[0] - target.p_reference) @ z), p.settings.reference_distance)
+    p.move(MoveLinear(tcp[0] - way * z, target.R_tool_in_base, _slow(p)))
+
+
+def _slow(p: Procedure) -> float:
+    return min(p.settings.checks.lift_speed, p.settings.linear_speed)
 
 
 def move_to_retract(p: Procedure) -> None:
@@ -249,8 +267,28 @@ def give_up(p: Procedure) -> None:
     p.cancel_move()
 
 
+def stand_off(p: Procedure) -> None:
+    """The robot may press in position control. No move is asked for: the driver's own way out of the contact begins then."""
+    p.outcome = "broken off"
+    p.cancel_move()
+
+
+def let_go(p: Procedure) -> None:
+    """The driver has not drawn the tool back: take the force down, where it is known to act from the surface on the tool."""
+    if not way_out_is_known(p):
+        p.fail(f"the robot may press, and the force{_newest_newtons(p)} does not tell the way out")
+        return
+    p.switch(True, np.zeros(3))
+
+
+def _newest_newtons(p: Procedure) -> str:
+    force = p.streams.newest_force
+    return "" if force is None else f" ({newtons(force)} N)"
+
+
 _ALL = (
     nothing, switch_to_position, move_out, begin_pose, move_home, move_to_approach, move_to_reference, begin_window,
-    record_and_switch, ask_for_contact, ask_for_force, record_row, count_case, move_to_retract, count_pose, give_up,
+    record_and_switch, ask_for_contact, ask_for_force, record_row, count_case, move_off, move_to_retract, count_pose, give_up,
+    stand_off, let_go,
 )  # fmt: skip
 ENTRIES: dict[str, Callable[[Procedure], None]] = {function.__name__: function for function in _ALL}

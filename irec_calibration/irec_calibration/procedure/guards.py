@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .arrival import arrived, is_free, is_relieved, out_of_contact, presses_still
 from .by_encoders import unsettled_by_encoders
 from .plausible import what_is_read
-from .standstill import unsettled
+from .standstill import too_few, unsettled
 
 if TYPE_CHECKING:
     from .machine import Procedure
@@ -65,6 +66,9 @@ def _stands_still(p: Procedure) -> bool:
             )
         return False
     target = None if p.state == "reference" else p.setpoint
+    p.message = too_few(window, p.settings.checks)
+    if p.message:
+        return False
     if p.settings.without_tracker:
         lever, names = p.work[p.index][0].lever, p.streams.names
         p.message = unsettled_by_encoders(window, p.settings.settling, p.settings.min_samples, target, lever, names)
@@ -94,8 +98,12 @@ def _guards() -> dict[str, Callable[[Procedure], bool]]:
         "started": lambda p: p.started,
         # all poses are measured or refused, or the run was stopped before it began
         "nothing_to_do": lambda p: not p.found_pressing and (bool(p.stopped_because) or (p.started and not p.work)),
-        "moved": lambda p: p.moved,
-        "moved_and_ending": lambda p: p.moved and bool(p.stopped_because),
+        "arrived": arrived,
+        "out_of_contact": out_of_contact,
+        "out_and_ending": lambda p: out_of_contact(p) and bool(p.stopped_because),
+        "presses_still": presses_still,
+        "is_free": is_free,
+        "is_relieved": is_relieved,
         "switched": lambda p: p.switched,
         "switched_from_contact": lambda p: p.switched and p.found_pressing,
         "switched_and_ending": lambda p: p.switched and bool(p.stopped_because),

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..typing import Array
 from . import entries, guards
+from .arrival import found_in_contact
 from .checks import Target, lease_problem
 from .commands import CancelMove, Command, Event, ForceSetpoint, MoveJoint, MoveLinear, SwitchMode
 from .elapsed import CellTime
@@ -26,7 +27,8 @@ RENEWALS = 5  # force set points per lease
 NO_LEASE_PERIOD = 0.1  # s between force set points where the driver has no lease
 ASK_AGAIN = 0.5  # s after which leaving force control is asked for again where it was refused
 NOT_BROKEN_OFF = (
-    "idle", "position_first", "withdraw", "position_mode", "retract", "next_pose", "again", "paused", "finished", "failed",
+    "idle", "position_first", "withdraw", "position_mode", "lift", "retract", "next_pose", "again", "paused", "finished",
+    "failed", "stand_off", "let_go", "position_last",
 )  # fmt: skip
 
 
@@ -89,8 +91,10 @@ class Procedure:
         self.case = 0  # which of `order` is under way, from 1
         self.setpoint = np.zeros(3)
         self.force_before: Array | None = None  # mean force when the set point was changed
-        self.force_in_air: Array | None = None  # at the approach of the pose under way
+        self.force_unloaded = np.zeros(3)  # read at the approach of the pose under way, then at its reference, (3,), N
+        self.force_at_move = np.zeros(3)  # when the move under way was asked for, (3,), N; NaN: not known
         self.p_contact: Array | None = None  # TCP by the controller when contact was made at it, m in base_link
+        self.p_touch: Array | None = None  # likewise when the tool touched
         self.p_pressed: list[Array] = []  # mean of it in each load case that was recorded at the pose
         self.lease_s = 0.0
         self.time = CellTime(simulated)
@@ -100,6 +104,11 @@ class Procedure:
         self.since_elapsed = self.pose_since = 0.0  # for time-outs
         self.out: list[Command] = []
         self.started = self.moved = self.moving = self.switched = False
+        self.moved_from: Array | None = None  # TCP when the move under way was asked for, m in base_link
+        self.goal: MoveJoint | MoveLinear | None = None  # of the move that was asked for last
+        self.answered_at, self.counts_at_answer = 0.0, dict(streams.counts)  # elapsed time, readings so far
+        self.stood_at = np.nan  # cell's clock when the robot stood after it
+        self.is_out = False  # nothing has moved since the robot was seen out of contact
         self.found_pressing = self.pause_wanted = False
         self.outcome = ""  # of the pose under way: empty, skipped or broken off
         self.window: Window | None = None
@@ -118,7 +127,10 @@ class Procedure:
         self.counts.skipped = len(self.refused)
         if self.refused:
             self.check_skip_limit(self.refused[-1].problem)
-        self.found_pressing = self.watch.robot_presses
+        found, problem = found_in_contact(self)
+        self.found_pressing = self.watch.robot_presses or found
+        if problem and not self.watch.robot_presses and not self.stopped_because:
+            self.stopped_because = problem
         self.markers_before = self.streams.counts["marker"]
         self.started = True
 
@@ -127,7 +139,8 @@ class Procedure:
         self.moving = False
         if success:
             self.moved = True
-        elif self.state in ("withdraw", "home", "approach", "advance", "retract"):
+            self.answered_at, self.counts_at_answer = self.time.elapsed, dict(self.streams.counts)
+        elif self.state in ("withdraw", "home", "approach", "advance", "lift", "retract"):
             self.fail(f"the move was not carried out: {message}")
 
     def mode_switched(self, success: bool, message: str = "", force_lease: float = 0.0) -> None:
@@ -140,7 +153,9 @@ class Procedure:
                 self.stop(problem)
         elif self.state == "force_mode":
             self.fail(f"the control mode was not switched: {message}")
-        elif self.state in ("position_first", "position_mode"):  # the robot may be leaving the contact by itself: ask again
+        elif self.state == "let_go":
+            self.message = f"the control mode was not switched: {message}"
+        elif self.state in ("position_first", "position_mode", "position_last"):  # the robot may be leaving by itself
             self._refused_at, self._refusal = self.time.elapsed, f"the control mode was not switched: {message}"
 
     def fault(self, message: str) -> None:
@@ -214,7 +229,10 @@ class Procedure:
         for _ in range(len(STATES)):
             state = STATES[self.state]
             for guard, following in state.leave:
-                if guards.GUARDS[guard](self):
+                leaves = guards.GUARDS[guard](self)
+                if self.state != state.name:  # what was found has ended the state
+                    break
+                if leaves:
                     self.go(following)
                     break
             else:
@@ -260,9 +278,9 @@ class Procedure:
             self.skip(reason)
             self.cancel_move()
             self.go("position_mode" if way == "skip_pose" else "next_pose")
-        elif way == "failed":
+        elif way in ("failed", "stand_off", "let_go"):
             self.add_reason(reason)
-            self.go("failed")
+            self.go(way)
         else:
             self.stop(reason)
 
@@ -282,6 +300,14 @@ class Procedure:
         self.counts.skipped += 1
         self.outcome = "skipped"
         self.check_skip_limit(reason)
+
+    def discard(self, reason: str) -> None:
+        """What was recorded of the pose under way does not count; it is measured again by a run that goes on with this one."""
+        if self.recorded:
+            self.event("discarded", reason)
+            self.recorded = 0
+        if not self.outcome:
+            self.skip(reason)
 
     def check_skip_limit(self, reason: str) -> None:
         """End the run where too many poses could not be measured."""
@@ -313,7 +339,10 @@ class Procedure:
 
     def move(self, command: MoveJoint | MoveLinear) -> None:
         """Ask for a move."""
-        self.moved, self.moving = False, True
+        self.moved, self.moving, self.goal, self.is_out, self.stood_at = False, True, command, False, np.nan
+        tcp, force = self.streams.newest_tcp, self.streams.newest_force
+        self.moved_from = None if tcp is None else tcp[0]
+        self.force_at_move = np.full(3, np.nan) if force is None else force
         self.out.append(command)
 
     def switch(self, force: bool, force_in_tool: Array) -> None:

@@ -17,7 +17,6 @@ TURN_TOLERANCE = 0.02  # rad, likewise
 MARKER_TOLERANCE = 5e-3  # m, and MARKER_SHARE of the way: the marker moves as the TCP does
 MARKER_SHARE = 0.01  # a station that is registered half a degree wrong
 PLACE_TOLERANCE = 0.5  # m between where the marker is and where station and TCP say it is
-ARRIVED = 0.01  # rad and m between where a move was to end and where it has ended
 
 
 @dataclass(frozen=True)
@@ -103,19 +102,6 @@ class Plausibility:
             )
         return ""
 
-    def arrival_problem(self, s: Standing, q: Array, rail: float | None) -> str:
-        """A move was answered with success: is the robot where it was to go? q: (k,), rad. rail: m, None where not moved."""
-        off = s.q - q
-        worst = int(np.abs(off).argmax())
-        if abs(off[worst]) > ARRIVED:
-            return (
-                f"the move to {q[worst]:.4f} rad of axis {worst + 1} was answered with success, joint_states says"
-                f" {s.q[worst]:.4f} rad (limit {ARRIVED:g} rad apart): does the driver move by the names and units of the goal?"
-            )
-        if rail is not None and abs(s.rail - rail) > ARRIVED:
-            return f"the move of the rail to {rail:.4f} m was answered with success, joint_states says {s.rail:.4f} m"
-        return ""
-
 
 def _why_moved(went: Array, seen: Array) -> str:
     ratio = np.linalg.norm(seen) / max(float(np.linalg.norm(went)), 1e-9)
@@ -136,7 +122,7 @@ def _why_placed(p_marker: Array, expected: Array) -> str:
 
 def what_is_read(asked: Array, read: Array) -> str:
     """Asked and read force side by side, and what turns the one into the other where something simple does, (3,), N."""
-    text = f"asked for {_newtons(asked)} N, the wrench reads {_newtons(read)} N"
+    text = f"asked for {newtons(asked)} N, the wrench reads {newtons(read)} N"
     size = float(np.linalg.norm(asked))
     if size == 0.0:
         return text
@@ -159,5 +145,6 @@ def _mm(p: Array) -> str:
     return f"({', '.join(f'{1e3 * v:.1f}' for v in p)})"
 
 
-def _newtons(f: Array) -> str:
+def newtons(f: Array) -> str:
+    """(3,), N, for a sentence."""
     return f"({', '.join(f'{v:.0f}' for v in f)})"

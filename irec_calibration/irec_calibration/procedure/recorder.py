@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-import os
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,12 @@ from ..cell import LOAD_CASE_NAMES, Cell, Section
 from ..errors import SessionError
 from ..files.yaml_text import YamlProblem, parse_yaml
 from ..recording import BagReader, BagWriter, TypeCatalogue
+from ..recording.held_file import lock
 from ..session import record_message
 from ..session.header import FORMAT
 from ..session.mcap_io import attach_session
+from ..typing import Array
+from .resumed import check_places, check_same
 
 ORDER = "for each pose and repeat: numpy.random.default_rng([seed, pose, repeat]).permutation(number of load cases) + 1"
 
@@ -58,7 +62,7 @@ class SessionRecorder:
         path: MCAP file to write; its `.part` beside it is used while an earlier recording is copied.
         parameters: of the node, for the record.
         resume: copy what `path` holds already, then go on.
-
+        planned: pose -> joint positions, rad, and rail, m, in contact; what the earlier part measured has to be there.
         order_seed: draws the order of the load cases; that of the earlier part goes on where there is one.
 
     Attributes:
@@ -66,26 +70,39 @@ class SessionRecorder:
         time_offset: s that the new part begins after the session's beginning.
 
     Raises:
-        SessionError: the file exists and `resume` is not wanted, or does not exist and it is.
+        SessionError: the file exists and `resume` is not wanted, or does not exist and it is; another cell recorded it.
+        RecordingError: another process records to it.
     """
 
     def __init__(
         self, path: Path, cell: Cell, parameters: dict[str, Any], catalogue: TypeCatalogue | None = None, resume: bool = False,
-        order_seed: int | None = None,
+        order_seed: int | None = None, planned: Mapping[int, Array] | None = None,
     ) -> None:  # fmt: skip
         self.path, self.order_seed = path, order_seed
         if resume and not path.is_file():
             raise SessionError(f"{path}: there is no recording to go on with; start a new run")
         if not resume and path.exists():
             raise SessionError(f"{path}: exists already; name another file, or ask to resume it")
-        old = BagReader(path) if resume else None
+        with contextlib.ExitStack() as held:
+            if resume:  # until the new part has taken its place, which is locked as well
+                lock(held.enter_context(open(path, "rb")), path)
+            self._begin(cell, parameters, catalogue, BagReader(path) if resume else None, planned or {})
+
+    def _begin(
+        self, cell: Cell, parameters: dict[str, Any], catalogue: TypeCatalogue | None, old: BagReader | None,
+        planned: Mapping[int, Array],
+    ) -> None:  # fmt: skip
+        path = self.path
         if old is not None:
-            self.order_seed = _seed_of(old, order_seed)
+            check_same(_header_of(old), session_header(cell, path.stem), str(path), str(cell.path))
+            self.order_seed = _seed_of(old, self.order_seed)
         self.done: set[tuple[int, int]] = set()
+        self.measured_at: dict[int, tuple[float, ...]] = {}  # joint positions, rad, and rail, m, of each pose that was begun
         self.time_offset = 0.0
         self.losses: list[str] = []
-        target = path.with_name(path.name + ".part") if resume else path
-        target.unlink(missing_ok=True)
+        target = path.with_name(path.name + ".part") if old is not None else path
+        if old is not None:
+            target.unlink(missing_ok=True)
         self.bag = BagWriter(target, catalogue)
         versions = {"irec": __version__, "python": platform.python_version(), "numpy": np.__version__, "ros": "jazzy"}
         files = {
@@ -97,12 +114,12 @@ class SessionRecorder:
         if old is not None:
             try:
                 self._copy(old, cell)
+                check_places(self.measured_at, planned, str(path))
             except Exception:  # what was recorded so far stays as it is
                 self.bag.close()
                 target.unlink(missing_ok=True)
                 raise
-            os.replace(target, path)
-            self.bag.path = path
+            self.bag.rename(path)
         self._rows = self.bag.add_topic(record_message.TOPIC, record_message.TYPE)
         self._events = self.bag.add_topic(record_message.EVENT_TOPIC, record_message.EVENT_TYPE)
 
@@ -114,17 +131,13 @@ class SessionRecorder:
             if message.topic.name == record_message.EVENT_TOPIC:
                 self.done |= self._completed(old.decode(message).data)
             elif message.topic.name == record_message.TOPIC:
-                last = max(last, float(old.decode(message).time))
+                row = old.decode(message)
+                last = max(last, float(row.time))
+                self.measured_at.setdefault(int(row.pose), tuple(row.joint_position))
         self.losses = list(old.losses)
         before = old.attachments.get("robot.urdf", b"").decode("utf-8", "replace")
         if before != cell.robot.urdf_text:
             raise SessionError(f"{self.path}: was recorded with another robot description; start a new run")
-        if (_header_of(old).get("without_tracker") is True) != cell.without_tracker:
-            was, is_ = ("with", "without") if cell.without_tracker else ("without", "with")
-            raise SessionError(
-                f"{self.path}: was recorded {was} a tracker, the cell is {is_} one now (procedure.without_tracker);"
-                " start a new run"
-            )
         self.time_offset = last + 1.0 if last else 0.0
 
     def _completed(self, text: str) -> set[tuple[int, int]]:

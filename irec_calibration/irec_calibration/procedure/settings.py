@@ -14,6 +14,7 @@ from .table import STATES
 
 MOST_REPEATS = 1000
 LONGEST_HOLD = 600.0  # s
+UNLOADED_SHARE, LEAST_UNLOADED_N = 0.05, 10.0  # of the normal force, and N: see Checks.unloaded_n
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,37 @@ class Settling:
 
 
 @dataclass(frozen=True)
+class Checks:
+    """Limits between what was asked for, what the instruments read, and what the robot does; `procedure.checks` of a cell file.
+
+    Attributes:
+        arrival_m: largest distance of tcp_pose from the end of a straight move that was answered with success, m.
+        unloaded_n: largest change of the unloaded force from before contact to after it, N; 0: largest of twice
+            settling.force_n, UNLOADED_SHARE of the normal force and LEAST_UNLOADED_N.
+        least_stiffness: of arm, tool and tooling along the tool, N/m; a force that rises by less while the tool advances in
+            contact is not believed.
+        surface_m: way beyond the reference distance on which contact has to be made, m.
+        advance_share: largest further way into the surface at a constant force, as a share of the way from touch to that force.
+        advance_m: further way that is always allowed, m.
+        lift_speed: of the TCP on the first millimetres out of the contact, m/s; faster the robot stops too late where it is led
+            the other way.
+        marker_m: largest difference between the ways of the marker and of the TCP within one pose, m, the deflection left out.
+        least_wrench_hz, least_states_hz: rate of wrench, and of joint_states and tcp_pose, that a window needs.
+    """
+
+    arrival_m: float = 0.003
+    unloaded_n: float = 0.0
+    least_stiffness: float = 2e4
+    surface_m: float = 0.01
+    advance_share: float = 0.5
+    advance_m: float = 2e-4
+    lift_speed: float = 0.005
+    marker_m: float = 1e-3
+    least_wrench_hz: float = 50.0
+    least_states_hz: float = 25.0
+
+
+@dataclass(frozen=True)
 class Settings:
     """How Procedure 1 is run.
 
@@ -51,6 +83,7 @@ class Settings:
         reference_distance: m from the reference to contact.
         operator_at_robot: somebody stands at the emergency stop, so that a driver without dead man's switch may press.
         without_tracker: no tracker measures; joint_states, tcp_pose and force say whether the robot stands.
+        checks: limits of what is believed.
     """
 
     home_speed: float
@@ -68,6 +101,7 @@ class Settings:
     reference_distance: float = 0.003
     operator_at_robot: bool = False
     without_tracker: bool = False
+    checks: Checks = Checks()
 
 
 @dataclass(frozen=True)
@@ -98,7 +132,7 @@ def read_settings(cell: Cell) -> Settings:
     s = top.section("procedure")
     s.only(
         "home_speed", "linear_speed", "window_s", "settling", "min_samples", "force_abort_n", "repeats", "timeouts", "skip_limit",
-        "operator_at_robot", "without_tracker",
+        "operator_at_robot", "without_tracker", "checks",
     )  # fmt: skip
     still = s.section("settling")
     needed = ("force_n", "force_drift_n", "marker_drift_m", "marker_std_m", "slip_m")
@@ -133,6 +167,7 @@ def read_settings(cell: Cell) -> Settings:
         reference_distance=cell.reference_distance,
         operator_at_robot=_flag(cell, s, "operator_at_robot"),
         without_tracker=_flag(cell, s, "without_tracker"),
+        checks=_checks(s),
     )
     check_loads(cell, settings)
     held = settings.settling.hold_s + settings.window_s
@@ -142,6 +177,14 @@ def read_settings(cell: Cell) -> Settings:
             f" settling.hold_s and window_s, {held:g} s"
         )
     return settings
+
+
+def _checks(procedure: Section) -> Checks:
+    if "checks" not in procedure:
+        return Checks()
+    s = procedure.section("checks")
+    s.only(*Checks.__dataclass_fields__)
+    return Checks(**{name: s.number(name, 0.0) for name in Checks.__dataclass_fields__ if name in s})
 
 
 def _flag(cell: Cell, section: Section, key: str) -> bool:

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from ..typing import Array
-from .settings import Settling
+from .settings import Checks, Settling
 
 STAND_TIME = 0.05  # s
 STAND_MOVE = 2e-4  # rad or m in that time
+LEAST_SAMPLES = 4  # of which two halves can be compared
 DISORDER = 0.5  # s by which the stamp of a reading may be older than that of one before it
 
 
@@ -113,6 +114,22 @@ class Streams:
         """Latest force, (3,), N."""
         return np.array(self._force[-1][1:4]) if self._force else None
 
+    def last_forces(self, n: int) -> Array:
+        """The newest n forces, oldest first, (n, 3) or fewer, N."""
+        return np.array([item[1:4] for item in list(self._force)[-n:]]).reshape(-1, 3)
+
+    def forces_of(self, length_s: float) -> Array:
+        """The forces of the newest length_s, at least the newest one, (n, 3), N."""
+        return _rows(self._force, self._force[-1][0] - length_s)[:, 1:4]
+
+    def force_before(self, n: int, length_s: float) -> Array | None:
+        """Mean force, (3,), N, over length_s before the newest n readings; None where there are fewer than LEAST_SAMPLES."""
+        if len(self._force) <= n:
+            return None
+        end = self._force[-n - 1][0]
+        rows = _rows(self._force, end - length_s, end)
+        return rows[:, 1:4].mean(axis=0) if len(rows) >= LEAST_SAMPLES else None
+
     @property
     def newest_tcp(self) -> tuple[Array, Array] | None:
         """Latest TCP, (3,), m, and quaternion of tool0, (4,), in base_link."""
@@ -125,12 +142,8 @@ class Streams:
 
     @property
     def stands(self) -> bool:
-        """No joint has moved in the last STAND_TIME."""
-        if not self._joints:
-            return False
-        newest = self._joints[-1]
-        before = next((item for item in reversed(self._joints) if item[0] <= newest[0] - STAND_TIME), None)
-        return before is not None and all(abs(a - b) < STAND_MOVE for a, b in zip(newest[1:], before[1:], strict=True))
+        """No joint has moved in the last STAND_TIME, nor the TCP."""
+        return _stands(self._joints, len(self.names)) and _stands(self._tcp, 3)
 
     @property
     def newest_marker(self) -> tuple[float, Array, str] | None:
@@ -171,6 +184,14 @@ class Streams:
         return Window(start, end, force[:, 1:4], force[:, 4:7], points, station, joints[:, 1:], tcp[:, 1:4], tcp[:, 4:8])
 
 
+def _stands(stream: deque, values: int) -> bool:  # type: ignore[type-arg]
+    if not stream:
+        return False
+    newest = stream[-1]
+    before = next((item for item in reversed(stream) if item[0] <= newest[0] - STAND_TIME), None)
+    return before is not None and all(abs(newest[k] - before[k]) < STAND_MOVE for k in range(1, values + 1))
+
+
 def _rows(stream: deque, begin: float, end: float = np.inf) -> Array:  # type: ignore[type-arg]
     rows = []
     for item in reversed(stream):  # several times a cycle: not through all that is kept
@@ -182,11 +203,32 @@ def _rows(stream: deque, begin: float, end: float = np.inf) -> Array:  # type: i
 
 
 def drift(samples: Array) -> Array:
-    """Difference of the means of the two halves of samples (n, k) that three standard deviations of it do not explain, (k,)."""
+    """Difference of the means of the two halves of samples (n, k) that three standard deviations of it do not explain, (k,).
+
+    Infinite for fewer than LEAST_SAMPLES samples, of which nothing is known.
+    """
+    if len(samples) < LEAST_SAMPLES:
+        return np.full(samples.shape[1], np.inf)
     half = len(samples) // 2
     a, b = samples[:half], samples[half:]
     expected = np.sqrt(a.var(axis=0, ddof=1) / len(a) + b.var(axis=0, ddof=1) / len(b))
     return np.maximum(np.abs(b.mean(axis=0) - a.mean(axis=0)) - 3.0 * expected, 0.0)
+
+
+def too_few(window: Window, checks: Checks) -> str:
+    """Which stream sends too little for a window to say that the robot stands; empty where none does."""
+    length = window.end - window.begin
+    for topic, n, least in (
+        ("wrench", len(window.force_in_tool), checks.least_wrench_hz),
+        ("joint_states", len(window.q), checks.least_states_hz),
+        ("tcp_pose", len(window.p_tcp_in_base), checks.least_states_hz),
+    ):
+        if n < max(LEAST_SAMPLES, int(least * length)):
+            return (
+                f"{topic} has sent {n} readings in {length:g} s, at least {max(LEAST_SAMPLES, int(least * length))} are needed"
+                f" ({least:g} Hz, procedure.checks): is the driver slow, or the network?"
+            )
+    return ""
 
 
 def unsettled(window: Window, s: Settling, min_samples: int, force_target: Array | None) -> str:
@@ -198,10 +240,10 @@ def unsettled(window: Window, s: Settling, min_samples: int, force_target: Array
     n = len(window.p_marker_in_station)
     if n < min_samples:
         return f"tracker delivers {n} samples per window, {min_samples} are needed (line of sight?)"
-    if window.marker_std > s.marker_std_m:
+    if not window.marker_std <= s.marker_std_m:
         return f"marker moves: standard deviation {window.marker_std * 1e6:.0f} um, limit {s.marker_std_m * 1e6:.0f} um"
     moving = float(drift(window.p_marker_in_station).max())
-    if moving > s.marker_drift_m:
+    if not moving <= s.marker_drift_m:
         return f"marker drifts {moving * 1e6:.1f} um per half window, limit {s.marker_drift_m * 1e6:.1f} um"
     return force_unsettled(window, s, force_target)
 
@@ -209,10 +251,10 @@ def unsettled(window: Window, s: Settling, min_samples: int, force_target: Array
 def force_unsettled(window: Window, s: Settling, force_target: Array | None) -> str:
     """What of the force does not stand still in a window, or is not at its set point; empty if it is. Arguments as above."""
     changing = float(drift(window.force_in_tool).max())
-    if changing > s.force_drift_n:
+    if not changing <= s.force_drift_n:
         return f"force drifts {changing:.1f} N per half window, limit {s.force_drift_n:.1f} N"
     if force_target is not None:
         off = float(np.abs(window.force_in_tool.mean(axis=0) - force_target).max())
-        if off > s.force_n:
+        if not off <= s.force_n:
             return f"force is {off:.1f} N off its set point, limit {s.force_n:.1f} N"
     return ""

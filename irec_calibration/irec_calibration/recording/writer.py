@@ -7,6 +7,7 @@ reached the disk is always a run of whole chunks, so a killed process loses the 
 
 from __future__ import annotations
 
+import os
 import queue
 import threading
 import time
@@ -22,6 +23,7 @@ from mcap.writer import CompressionType, Writer
 
 from ..errors import RecordingError
 from .definitions import TypeCatalogue
+from .held_file import HeldFile
 
 CHUNK_BYTES = 64 * 1024
 DRAIN_PERIOD = 0.05  # s; draining in batches costs far fewer thread switches than waking for each message
@@ -62,8 +64,12 @@ class _Count:
 class BagWriter:
     """One MCAP file (profile ros2, schemas ros2msg, messages cdr, zstd chunks of 64 KiB).
 
-    The methods may be called from any thread. They raise RecordingError once writing has failed (disk full, ...);
-    `close` always raises the first such error. As a context manager it closes itself.
+    The methods may be called from any thread. They raise RecordingError once writing has failed (disk full, ...), or the
+    file was removed, replaced or changed by somebody else; `close` always raises the first such error. As a context manager it
+    closes itself. The file is locked (flock) until then, so that no other process goes on with it.
+
+    Attributes:
+        rescued: where the recording was written to when its file had gone; None where it had not.
     """
 
     def __init__(self, path: Path, catalogue: TypeCatalogue | None = None) -> None:
@@ -71,11 +77,14 @@ class BagWriter:
         self._catalogue = catalogue or TypeCatalogue()
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(self.path, "xb")
+            self._file = open(self.path, "x+b")
         except FileExistsError:
             raise RecordingError(f"{self.path} exists; recordings are never overwritten: choose another name") from None
         except OSError as error:
             raise RecordingError(f"{self.path} can't be written: {error.strerror}") from error
+        self._held = HeldFile(self._file)
+        self._held.lock(self.path)
+        self.rescued: Path | None = None  # where the recording was written to when its file had gone
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="irec")
         self._schemas: dict[str, int] = {}
@@ -134,13 +143,20 @@ class BagWriter:
         """Messages handed to the file so far."""
         return sum(count.messages for count in self._counts.values())
 
+    def rename(self, path: Path) -> None:
+        """Go on under another name, in place of what is there. OSError."""
+        with self._lock:
+            os.replace(self.path, path)
+            self.path = Path(path)
+
     def close(self) -> None:
         """Write what is queued and the index, close the file. A second call does nothing."""
         if not self._closing.is_set():
             self._closing.set()
             self._thread.join()
         if self._error is not None:
-            raise RecordingError(f"{self.path} is incomplete: {self._error}") from self._error
+            where = f"; what was recorded is in {self.rescued}" if self.rescued else ""
+            raise RecordingError(f"{self.path} is incomplete: {self._error}{where}") from self._error
 
     def __enter__(self) -> Self:
         return self
@@ -199,19 +215,31 @@ class BagWriter:
         try:
             while not self._closing.wait(DRAIN_PERIOD):
                 with self._lock:
+                    self._look()
                     self._drain()
             with self._lock:
+                self._look()
                 self._drain()
                 # rosbag2 keeps the content of metadata.yaml in the file too, for readers that get only the file
                 self._writer.add_metadata("rosbag2", {"serialized_metadata": self._metadata_text(root=False)})
                 self._writer.finish()
+                self._file.flush()
+                if self._held.has_gone(self.path):
+                    self.rescued = self._held.rescue(self.path)
         except Exception as error:
-            self._error = error
+            self._error = self._error or error
         finally:
             try:
                 self._file.close()
             except OSError as error:
                 self._error = self._error or error
+
+    def _look(self) -> None:
+        """A file that was removed is written to its end, to be kept under another name; one that was changed is no recording."""
+        if self._held.is_changed():
+            raise RecordingError(f"somebody else has written to it or cut it: {self._held.change}")
+        if self._error is None and self._held.has_gone(self.path):
+            self._error = RecordingError("the file was removed or replaced while it was recorded")
 
     def _drain(self) -> None:
         if self._queue.qsize() > QUEUE_LIMIT:
@@ -232,6 +260,7 @@ class BagWriter:
             self._last = max(self._last, log_time)
             self._writer.add_message(channel, log_time, data, publish_time, sequence=count.messages)
         self._file.flush()
+        self._held.written()
 
 
 class _Dumper(yaml.SafeDumper):

@@ -6,6 +6,7 @@ Both forms have the same columns, so that everything that is checked in a table 
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from dataclasses import replace
@@ -53,7 +54,11 @@ def read_mcap(path: str | Path) -> Session:
     bag = BagReader(path)
     rows: list[dict[str, str]] = []
     notes: list[str] = []
-    for message in bag.messages({record_message.TOPIC}):
+    discarded: set[str] = set()
+    for message in bag.messages({record_message.TOPIC, record_message.EVENT_TOPIC}):
+        if message.topic.name == record_message.EVENT_TOPIC:
+            rows = _without_discarded(rows, message, bag, discarded)
+            continue
         if message.topic.type_name != record_message.TYPE:
             found = message.topic.type_name or "of no type"
             raise SessionError(f"{path}: {record_message.TOPIC} is {found}, {record_message.TYPE} is needed")
@@ -63,6 +68,7 @@ def read_mcap(path: str | Path) -> Session:
         except (AttributeError, TypeError) as error:  # a type of that name with other fields
             raise SessionError(one_line(f"{where}: is no {record_message.TYPE} as this program knows it: {error}")) from error
     notes += [f"lost: {loss}" for loss in bag.losses]
+    notes += [f"left out, the run says that it does not count: {text}" for text in sorted(discarded)]
     missing = [name for name in ("session.yaml", "robot.urdf") if name not in bag.attachments]
     if missing:
         raise SessionError(
@@ -78,6 +84,19 @@ def read_mcap(path: str | Path) -> Session:
     _name_joints(rows, header.joint_names or robot.joint_names)
     session = session_from_columns(header, robot, _MessageColumns(path, rows), path)
     return replace(session, notes=(*notes, *session.notes), is_whole=not bag.losses)
+
+
+def _without_discarded(rows: list[dict[str, str]], message: Any, bag: BagReader, told: set[str]) -> list[dict[str, str]]:
+    """Rows without those of a pose and repeat that an event says do not count; `told` takes its text."""
+    try:
+        event = json.loads(bag.decode(message).data)
+        if event["kind"] != "discarded":
+            return rows
+        key = str(int(event["pose"])), str(int(event["repeat"]))
+    except (AttributeError, ValueError, KeyError, TypeError, OverflowError, RecursionError):  # of somebody else
+        return rows
+    told.add(f"pose {key[0]}: {event.get('text', '')}")
+    return [row for row in rows if (row["pose"], row["repeat"]) != key]
 
 
 def _after(bag: BagReader) -> str:

@@ -9,8 +9,10 @@ from fake_robot import FakeRobot, keys
 from irec_calibration.procedure.commands import ForceSetpoint, MoveJoint, MoveLinear, SwitchMode
 from irec_calibration.procedure.table import STATES
 
+BARRED = ("stand_off", "let_go", "position_last")  # where the way out was not driven: test_procedure_leaving.py
 
-@pytest.mark.parametrize("state", [s.name for s in STATES.values() if s.otherwise])
+
+@pytest.mark.parametrize("state", [s.name for s in STATES.values() if s.otherwise and s.name not in BARRED])
 def test_cancel_in_any_state_ends_retracted_in_position_control(state: str) -> None:
     robot = FakeRobot(2)
     robot.force_control = state == "withdraw"

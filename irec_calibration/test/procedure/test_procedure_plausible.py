@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from irec_calibration.cell import read_cell
+from irec_calibration.procedure.arrival import joint_problem, tcp_problem
+from irec_calibration.procedure.commands import MoveLinear
 from irec_calibration.procedure.plausible import Plausibility, Standing, what_is_read
+from scipy.spatial.transform import Rotation
 
 CELL = read_cell(Path(__file__).parents[3] / "config" / "cells" / "afp.yaml")
 STATION = CELL.stations[0]
@@ -74,9 +77,18 @@ def test_a_marker_in_millimetres_is_told_the_first_time_it_is_seen() -> None:
 
 
 def test_a_move_that_was_not_carried_out_is_noticed() -> None:
-    assert "joint_states says -1.9000 rad" in Plausibility(CELL).arrival_problem(NEAR, NEAR.q + [0, 0.1, 0, 0, 0, 0], None)
-    assert "0.3" in Plausibility(CELL).arrival_problem(NEAR, NEAR.q, 0.1)
-    assert not Plausibility(CELL).arrival_problem(NEAR, NEAR.q, 0.3)
+    assert "joint_states says -1.9000 rad" in joint_problem(NEAR.q, NEAR.q + [0, 0.1, 0, 0, 0, 0], NEAR.rail, None)
+    assert "0.3" in joint_problem(NEAR.q, NEAR.q, NEAR.rail, 0.1)
+    assert not joint_problem(NEAR.q, NEAR.q, NEAR.rail, 0.3)
+
+
+def test_the_end_of_a_straight_move_is_held_against_tcp_pose() -> None:
+    quat = Rotation.from_matrix(NEAR.R_tool).as_quat()
+    asked = MoveLinear(NEAR.p_tcp + [0.0, 0.0, 0.15], NEAR.R_tool, 0.1)
+    assert "150.0 mm apart, limit 3 mm" in tcp_problem(NEAR.p_tcp, quat, asked, 0.003)
+    assert not tcp_problem(NEAR.p_tcp + [0.0, 0.0, 0.149], quat, asked, 0.003)
+    turned = replace(asked, R_in_base=NEAR.R_tool @ TURN)
+    assert "turned by 90.0 deg" in tcp_problem(NEAR.p_tcp + [0.0, 0.0, 0.15], quat, turned, 0.003)
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from irec_calibration.cell import read_cell
-from irec_calibration.errors import SessionError
+from irec_calibration.errors import RecordingError, SessionError
 from irec_calibration.procedure.recorder import SessionRecorder, _seed_of
 from irec_calibration.session import read_session, record_message
 
@@ -116,3 +121,128 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
 def test_resuming_what_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SessionError, match="no recording to go on with"):
         recorder(tmp_path / "s.mcap", resume=True)
+
+
+def test_a_pose_that_was_discarded_is_no_part_of_the_session_and_is_measured_again(tmp_path: Path) -> None:
+    first = recorder(tmp_path / "s.mcap")
+    write_pose(first, 1)
+    write_pose(first, 2, complete=False)
+    told = {"kind": "discarded", "pose": 2, "repeat": 0, "load_case": 5, "text": "the sensor's bias has changed"}
+    first.write_event(told, 0)
+    first.close()
+    session = read_session(tmp_path / "s.mcap")
+    assert session.poses.tolist() == [1] and any("pose 2: the sensor's bias has changed" in note for note in session.notes)
+    second = recorder(tmp_path / "s.mcap", resume=True)
+    assert second.done == {(1, 0)}
+    write_pose(second, 2, time=second.time_offset)
+    second.close()
+    assert read_session(tmp_path / "s.mcap").poses.tolist() == [1, 2]
+
+
+# --- one process, one cell, one file --------------------------------------------------------------------------------------------
+
+
+def test_a_recording_that_is_under_way_can_not_be_gone_on_with_by_another(tmp_path: Path) -> None:
+    first = recorder(tmp_path / "s.mcap")
+    write_pose(first, 1)
+    inode = os.stat(tmp_path / "s.mcap").st_ino
+    with pytest.raises(RecordingError, match="is being recorded by another process"):
+        recorder(tmp_path / "s.mcap", resume=True)
+    assert os.stat(tmp_path / "s.mcap").st_ino == inode and list(tmp_path.iterdir()) == [tmp_path / "s.mcap"]
+    first.close()
+    second = recorder(tmp_path / "s.mcap", resume=True)
+    with pytest.raises(RecordingError, match="is being recorded by another process"):
+        recorder(tmp_path / "s.mcap", resume=True)
+    second.close()
+    assert len(read_session(tmp_path / "s.mcap")) == 6
+
+
+OTHER: dict[str, tuple[Any, str]] = {
+    "marker": (replace(CELL, marker_in_tool=CELL.marker_in_tool + [0.0, 0.05, 0.0]), r"marker_in_tool0\[1\] 0.0, .* says 0.05"),
+    "forces": (replace(CELL, forces_in_tool=0.5 * CELL.forces_in_tool), r"load_cases\.1\[\d\] -?\d+.0, .* says -?\d+.0"),
+    "tool": (replace(CELL, raw={**CELL.raw, "tool": {**CELL.raw["tool"], "name": "another"}}), "tool nothing, .* says 'another'"),
+    "serial": (replace(CELL, serial="another"), r"robot\.serial 'KR120-0001', .* says 'another'"),
+}
+
+
+@pytest.mark.parametrize("what", OTHER)
+def test_a_run_is_not_gone_on_with_under_a_cell_file_that_gives_rows_another_meaning(tmp_path: Path, what: str) -> None:
+    first = recorder(tmp_path / "s.mcap")
+    write_pose(first, 1)
+    first.close()
+    before = (tmp_path / "s.mcap").read_bytes()
+    cell, told = OTHER[what]
+    with pytest.raises(SessionError, match=told):
+        SessionRecorder(tmp_path / "s.mcap", cell, {}, CATALOGUE, resume=True)
+    assert (tmp_path / "s.mcap").read_bytes() == before and list(tmp_path.iterdir()) == [tmp_path / "s.mcap"]
+
+
+def test_a_moved_station_is_another_meaning(tmp_path: Path) -> None:
+    recorder(tmp_path / "s.mcap").close()
+    stations = [{**CELL.raw["stations"][0], "xyz": [0.0, -4.1, 2.2]}]
+    with pytest.raises(SessionError, match=r"stations\[0\]\.xyz\[1\] -4.0, .* says -4.1"):
+        SessionRecorder(tmp_path / "s.mcap", replace(CELL, raw={**CELL.raw, "stations": stations}), {}, CATALOGUE, resume=True)
+
+
+def test_the_stated_noise_may_be_another_one(tmp_path: Path) -> None:
+    recorder(tmp_path / "s.mcap").close()
+    cell = replace(CELL, noise={**CELL.noise, "force_n": 2.0})
+    SessionRecorder(tmp_path / "s.mcap", cell, {}, CATALOGUE, resume=True).close()
+
+
+def test_pose_numbers_that_stand_for_other_places_are_refused(tmp_path: Path) -> None:
+    first = recorder(tmp_path / "s.mcap")
+    write_pose(first, 1)
+    first.close()
+    here = np.array([*CELL.home, 0.1])
+    SessionRecorder(tmp_path / "s.mcap", CELL, {}, CATALOGUE, resume=True, planned={1: here, 7: here}).close()
+    before = (tmp_path / "s.mcap").read_bytes()
+    with pytest.raises(SessionError, match="pose 1 was measured with axis 2 at -1.900, the pose list has it at -1.400"):
+        SessionRecorder(tmp_path / "s.mcap", CELL, {}, CATALOGUE, resume=True, planned={1: here + 0.5 * np.eye(7)[1]})
+    assert (tmp_path / "s.mcap").read_bytes() == before
+
+
+def until_it_fails(r: SessionRecorder) -> str:
+    """Records on until that is refused; the reason."""
+    end = time.monotonic() + 10.0
+    while time.monotonic() < end:
+        try:
+            write_pose(r, 2)
+        except RecordingError as error:
+            return str(error)
+        time.sleep(0.01)
+    raise TimeoutError("ten seconds and nobody has noticed")
+
+
+def written(r: SessionRecorder) -> None:
+    """Wait until the file has grown beyond its attachments."""
+    end = time.monotonic() + 10.0
+    while not r.path.stat().st_size:
+        if time.monotonic() > end:
+            raise TimeoutError("nothing is written")
+        time.sleep(0.01)
+
+
+def test_a_recording_whose_file_is_removed_is_told_and_kept_under_another_name(tmp_path: Path) -> None:
+    r = recorder(tmp_path / "s.mcap")
+    write_pose(r, 1)
+    written(r)
+    (tmp_path / "s.mcap").unlink()
+    assert "removed or replaced while it was recorded" in until_it_fails(r)
+    with pytest.raises(RecordingError, match="what was recorded is in .*s_rescued_1.mcap"):
+        r.close()
+    assert 1 in read_session(tmp_path / "s_rescued_1.mcap").poses
+
+
+CHANGES: list[Callable[[Path], object]] = [lambda p: os.truncate(p, 1000), lambda p: os.truncate(p, 10_000_000)]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_recording_that_somebody_else_cuts_or_writes_to_is_told(tmp_path: Path, change: Callable[[Path], object]) -> None:
+    r = recorder(tmp_path / "s.mcap")
+    write_pose(r, 1)
+    written(r)
+    change(tmp_path / "s.mcap")
+    assert "somebody else has written to it or cut it" in until_it_fails(r)
+    with pytest.raises(RecordingError, match="is incomplete"):
+        r.close()

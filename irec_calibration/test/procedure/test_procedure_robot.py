@@ -48,12 +48,12 @@ def test_a_driver_whose_force_set_point_holds_for_too_long_or_for_no_time_at_all
 
 def test_a_robot_that_is_found_pressing_is_led_out_of_the_contact_before_anything_else() -> None:
     robot = FakeRobot(1)
-    robot.force_control, robot.near_surface = True, True
+    robot.force_control, robot.near_surface, robot.tcp = True, True, np.array([1.0, 0.0, -0.003])
     robot.tick()
     robot.start().run()
     first, second = robot.commands[:2]
     assert isinstance(first, SwitchMode) and not first.force
-    assert isinstance(second, MoveLinear) and second.p_in_base[2] == pytest.approx(0.003 - 0.05)
+    assert isinstance(second, MoveLinear) and second.p_in_base[2] == pytest.approx(-0.003 - 0.05)
     assert len(robot.rows) == 4 and robot.is_safe
 
 
@@ -79,20 +79,11 @@ def test_a_robot_that_left_the_contact_by_itself_ends_the_run_with_its_own_words
     assert "no force set point came for 0.5 s" in robot.procedure.stopped_because and robot.is_safe
 
 
-class NeverThere:
-    """Says of any readings that the robot is not where it was to go."""
-
-    def arrival_problem(self, *_: object) -> str:
-        return "does the driver move by the names and units of the goal?"
-
-    def problem(self, *_: object) -> str:
-        return ""
-
-
 @pytest.mark.parametrize(("silent", "named"), [(True, "joint_states is silent"), (False, "names and units of the goal")])
 def test_joint_angles_from_before_a_move_are_not_taken_for_where_it_has_led(silent: bool, named: str) -> None:
-    robot = FakeRobot(plausibility=NeverThere()).start().run(stop_when="home")
+    robot = FakeRobot().start().run(stop_when="approach")
     robot.tick()
+    robot.arrives = 0.5
     robot.delivers_joints = not silent
     robot.run()
     assert named in robot.procedure.stopped_because and robot.is_safe
@@ -237,7 +228,7 @@ def test_a_pose_whose_tooling_is_touched_too_early_is_skipped_and_the_run_goes_o
     robot = FakeRobot(6).start()
     robot.run(stop_when="reference")
     robot.extra_force = np.array([-37.0, -53.0, -250.0])
-    robot.run(stop_when="home")
+    robot.run(stop_when="retract")
     robot.extra_force = np.zeros(3)
     robot.run()
     assert robot.procedure.counts.skipped == 1 and robot.procedure.counts.complete == 5

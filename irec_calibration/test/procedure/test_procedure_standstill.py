@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from fake_robot import settings
+from fake_robot import FakeRobot, settings
 from hypothesis import given
 from hypothesis import strategies as st
-from irec_calibration.procedure.standstill import Streams, Window, drift, unsettled
+from irec_calibration.procedure.settings import Checks
+from irec_calibration.procedure.standstill import Streams, Window, drift, too_few, unsettled
 
 STILL = settings().settling
 TARGET = np.array([280.0, 0.0, -1100.0])
@@ -40,6 +43,43 @@ def test_a_quiet_window_is_settled() -> None:
 )
 def test_an_unquiet_window_is_not_settled_and_says_why(changed: dict, reason: str) -> None:
     assert reason in unsettled(window(**changed), STILL, 20, TARGET)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3])
+def test_of_too_few_samples_nothing_is_known(n: int) -> None:
+    assert np.isinf(drift(np.zeros((n, 3)))).all()
+    few = replace(window(), force_in_tool=np.tile(TARGET, (n, 1)))
+    assert "force drifts inf N" in unsettled(few, STILL, 20, TARGET)
+
+
+@pytest.mark.parametrize("value", [np.nan, 1e300])
+def test_a_number_that_is_none_is_not_settled(value: float) -> None:
+    force, marker = window().force_in_tool.copy(), window().p_marker_in_station.copy()
+    force[3, 0] = marker[3, 1] = value
+    assert unsettled(replace(window(), force_in_tool=force), STILL, 20, TARGET)
+    assert unsettled(replace(window(), p_marker_in_station=marker), STILL, 20, TARGET)
+
+
+@pytest.mark.parametrize(
+    ("stream", "n", "told"),
+    [
+        ("force_in_tool", 2, "wrench has sent 2 readings in 0.4 s, at least 20 are needed (50 Hz"),
+        ("q", 4, "joint_states has sent 4 readings in 0.4 s, at least 10 are needed (25 Hz"),
+        ("p_tcp_in_base", 4, "tcp_pose has sent 4 readings"),
+    ],
+)
+def test_a_stream_that_sends_too_little_is_told(stream: str, n: int, told: str) -> None:
+    found = window()
+    few = replace(found, **{stream: getattr(found, stream)[:n]})
+    assert told in too_few(few, Checks()) and not too_few(found, Checks())
+    assert not too_few(few, Checks(least_wrench_hz=5.0, least_states_hz=5.0)) or n < 4
+
+
+def test_a_wrench_at_four_hertz_gives_no_row() -> None:
+    robot = FakeRobot(1)
+    robot.force_every = 0.25
+    robot.start().run()
+    assert not robot.rows and "wrench has sent" in robot.procedure.stopped_because
 
 
 def test_a_force_off_its_set_point_is_not_settled() -> None:

@@ -122,7 +122,7 @@ def run_managed(
     executor_type: Callable[[], Executor] = EventsExecutor,
     if_refused: Callable[[], None] = lambda: None,
 ) -> int:
-    """Run the node of a process until SIGINT or SIGTERM; its exit code, 2 where what the user gave can't be used.
+    """Run the node of a process until SIGINT, SIGTERM or SIGHUP; its exit code, 2 where what the user gave can't be used.
 
     Args:
         name: for messages on stderr. arguments: of the process; those of the command line where None.

@@ -102,7 +102,7 @@ class CellNode(GuardedNode):
 
 
 def main() -> int:
-    """Run the cell until SIGINT or SIGTERM; 2 where a parameter or file is wrong."""
+    """Run the cell until SIGINT, SIGTERM or SIGHUP; 2 where a parameter or file is wrong."""
     return run_process("cell", lambda asked_to_stop: run(CellNode(), asked_to_stop), SimError)
 
 

@@ -103,7 +103,7 @@ class Ros2ControlNode(GuardedNode):
 
 
 def main() -> int:
-    """Until SIGINT or SIGTERM; 2 where a parameter or file is wrong."""
+    """Until SIGINT, SIGTERM or SIGHUP; 2 where a parameter or file is wrong."""
     return run_process("ros2_control", _work, SimError)
 
 
