@@ -223,9 +223,9 @@ def too_few(window: Window, checks: Checks) -> str:
         ("joint_states", len(window.q), checks.least_states_hz),
         ("tcp_pose", len(window.p_tcp_in_base), checks.least_states_hz),
     ):
-        if n < max(LEAST_SAMPLES, int(least * length)):
+        if n < max(LEAST_SAMPLES, round(least * length)):
             return (
-                f"{topic} has sent {n} readings in {length:g} s, at least {max(LEAST_SAMPLES, int(least * length))} are needed"
+                f"{topic} has sent {n} readings in {length:g} s, at least {max(LEAST_SAMPLES, round(least * length))} are needed"
                 f" ({least:g} Hz, procedure.checks): is the driver slow, or the network?"
             )
     return ""

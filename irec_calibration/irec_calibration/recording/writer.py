@@ -120,6 +120,7 @@ class BagWriter:
             channel = self._writer.register_channel(topic, "cdr", self._schemas[type_name], metadata)
             self._channels[topic] = channel
             self._counts[channel] = _Count(type_name, type_hash, qos)
+            self._flush()  # a chunk may have become full by this
         return channel
 
     def write(self, channel: int, data: bytes, log_time: int, publish_time: int | None = None) -> None:
@@ -259,6 +260,9 @@ class BagWriter:
                 self._first = log_time
             self._last = max(self._last, log_time)
             self._writer.add_message(channel, log_time, data, publish_time, sequence=count.messages)
+        self._flush()
+
+    def _flush(self) -> None:
         self._file.flush()
         self._held.written()
 

@@ -202,6 +202,17 @@ def test_pose_numbers_that_stand_for_other_places_are_refused(tmp_path: Path) ->
     assert (tmp_path / "s.mcap").read_bytes() == before
 
 
+def test_topics_that_are_added_at_any_time_are_no_change_by_somebody_else(tmp_path: Path) -> None:
+    r = recorder(tmp_path / "s.mcap")
+    for k in range(300):
+        write_pose(r, k + 1)
+        r.add_topic(f"/topic_{k}", record_message.EVENT_TYPE)
+        if k % 100 == 0:
+            written(r)
+    r.close()
+    assert len(read_session(tmp_path / "s.mcap").poses) == 300
+
+
 def until_it_fails(r: SessionRecorder) -> str:
     """Records on until that is refused; the reason."""
     end = time.monotonic() + 10.0
