@@ -248,8 +248,9 @@ def against_stated(session: Session, pairs: Pairs | None) -> tuple[list[str], li
     if stated is None:
         return [], []
     doubts: list[str] = []
+    notes: list[str] = []
     said: list[str] = []
-    follows = pairs is not None and least(pairs, pairs.force_in_base) > AGREES
+    works = None if pairs is None or not len(pairs.axis) else least(pairs, pairs.force_in_base)
     for k in np.flatnonzero(np.nan_to_num(stated.slope, nan=1.0) < SLOPE):
         name, value, (by, slope) = f"force_{AXES[k]}", constant(session, int(k)), stated.other[k]
         if value is not None:
@@ -257,14 +258,19 @@ def against_stated(session: Session, pairs: Pairs | None) -> tuple[list[str], li
                 f"{name} is exactly {value:g} N in every loaded row although load_cases differ along it: the channel is dead"
             )
             continue
+        if by < 0 and stated.slope[k] > -SLOPE:
+            notes.append(f"{name} goes by {stated.slope[k]:.2f} times with the {AXES[k]} of load_cases, about 1 is expected")
+            continue
         with_it = f", and force_{AXES[by]} by {slope:.2f} times" if by >= 0 else ""
         said.append(f"{name} goes by {stated.slope[k]:.2f} times with the {AXES[k]} of load_cases{with_it}")
     if not said:
-        return doubts, []
+        return doubts, notes
     what = f"{', '.join(said)}; about 1 is expected"
-    if follows:
-        return doubts, [f"{what}; the robot gives way as force_* says: are numbers or forces of load_cases exchanged?"]
-    return [*doubts, f"{what}: signs or axes of force_*, or load cases exchanged?"], []
+    if works is None:  # no deflection says which of the two is right
+        return doubts, [*notes, f"{what}: signs or axes of force_*, or load cases exchanged?"]
+    if works > AGREES:
+        return doubts, [*notes, f"{what}; the robot gives way as force_* says: are numbers or forces of load_cases exchanged?"]
+    return [*doubts, f"{what}: signs or axes of force_*, or load cases exchanged?"], notes
 
 
 def constant(session: Session, k: int) -> float | None:
