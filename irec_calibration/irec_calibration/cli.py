@@ -117,7 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     except ImplausibleSession as error:
         print(f"irec {args.command}: implausible: {error}; --accept-implausible goes on all the same", file=sys.stderr)
-        return 1
+        return 2
     except IrecError as error:
         print(f"irec {args.command}: error: {error}", file=sys.stderr)
         return 2

@@ -31,7 +31,7 @@ class SessionError(IrecError):
 
 
 class ImplausibleSession(SessionError):
-    """A session that can be read and can't be what it says; exit code 1, as after bad news.
+    """A session that can be read and can't be what it says; exit code 2, as every input that can't be used.
 
     Attributes:
         doubts: each reason as a sentence.

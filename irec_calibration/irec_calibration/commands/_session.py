@@ -15,7 +15,7 @@ from ..identification.identify import with_disc
 from ..model import Model
 from ..model.file import check_belongs, load_model
 from ..session import Session, read_session
-from ..session.plausible import check_plausible, doubts
+from ..session.plausible import check_plausible, judged
 from ..session.without_tracker import SLIP_M, without_tracker
 
 
@@ -90,9 +90,11 @@ def plausible_session(args: argparse.Namespace) -> Session:
         ImplausibleSession: it can't be what it says, and `--accept-implausible` was not given.
     """
     session = read_session(args.session)
-    judged = session
+    as_judged = session
     if getattr(args, "without_tracker", False):  # what the tracker says is not read
-        judged = replace(session, p_marker_in_station=np.full_like(session.p_marker_in_station, np.nan))
+        as_judged = replace(session, p_marker_in_station=np.full_like(session.p_marker_in_station, np.nan))
     if not args.accept_implausible:
-        return replace(session, notes=check_plausible(judged).notes)
-    return replace(session, notes=(*session.notes, *(f"went on by --accept-implausible although {d}" for d in doubts(judged))))
+        return replace(session, notes=check_plausible(as_judged).notes)
+    doubts, notes = judged(as_judged)
+    went_on = (f"went on by --accept-implausible although {d}" for d in doubts)
+    return replace(session, notes=(*session.notes, *notes, *went_on))

@@ -109,6 +109,7 @@ def _model(path: Path) -> tuple[list[str], list[str]]:
 
 def _session(path: Path) -> tuple[list[str], list[str]]:
     from ..session import read_session
+    from ..session.plausible import judged
 
     if path.name in ("samples.csv", "session.yaml"):
         path = path.parent
@@ -118,7 +119,9 @@ def _session(path: Path) -> tuple[list[str], list[str]]:
         header = read_header(path / "session.yaml")  # says all that is wrong in it, and the table only its first
         if not (path / "samples.csv").exists():
             return [f"{path}: samples.csv is not there beside session.yaml of {header.name}"], []
-    return [], list(read_session(path).notes)
+    session = read_session(path)
+    doubts, notes = judged(session)
+    return [f"implausible: {doubt}" for doubt in doubts], [*session.notes, *notes]
 
 
 def _urdf(path: Path) -> tuple[list[str], list[str]]:

@@ -53,6 +53,10 @@ def read_bytes(path: str | Path, what: str, error: type[IrecError] = IrecError, 
 def read_text(path: str | Path, what: str, error: type[IrecError] = IrecError, limit: int = TEXT_LIMIT) -> str:
     """UTF-8 text of a regular file; see read_bytes."""
     data = read_bytes(path, what, error, limit)
+    if data.startswith(b"PK\x03\x04"):
+        raise error(f"{one_line_path(path)}: the {what} is a spreadsheet (.xlsx, .ods) or an archive; save it as text in UTF-8")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise error(f"{one_line_path(path)}: the {what} is UTF-16 text; save it as UTF-8")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as cause:

@@ -107,9 +107,11 @@ def _in_words(error: Any) -> Iterator[tuple[tuple[str | int, ...], str]]:
         wanted = error.validator_value
         words = " or ".join(TYPES[w] for w in ([wanted] if isinstance(wanted, str) else wanted))
         is_ = kind_of(value) if isinstance(value, dict | list) or value is None else short(value)
-        yield key, f"is {is_}, must be {words}{' in' + unit if unit else ''}{advice}"
+        yield key, f"is {is_}, must be {words}{' in' + unit if unit else ''}{'' if advice.endswith('?') else advice}"
     elif kind in ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"):
-        yield key, f"is {short(value)}{unit}, must {_range(schema)}{unit}{advice}"
+        # a question about the unit is one about size: a negative distance is none in another unit
+        asked = advice.endswith("?") and abs(value) <= abs(schema.get("maximum", schema.get("exclusiveMaximum", 0.0)))
+        yield key, f"is {short(value)}{unit}, must {_range(schema)}{unit}{'' if asked else advice}"
     elif kind in ("minItems", "maxItems"):
         low, high = schema.get("minItems", 0), schema.get("maxItems")
         words = f"{low}" if low == high else f"at least {low}" if high is None else f"{low} to {high}"

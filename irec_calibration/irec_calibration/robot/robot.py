@@ -57,7 +57,7 @@ class Robot:
         try:
             self._model = pin.buildModelFromXML(urdf_text)
         except Exception as error:  # Pinocchio raises plain RuntimeError or ValueError
-            raise RobotError(f"{source}: not a robot description that can be read: {error}") from error
+            raise RobotError(f"{source}: not a robot description that can be read: {_unread(urdf_text) or error}") from error
         self._data = self._model.createData()
         for link in ("base_link", "tool0"):
             if not self._model.existFrame(link):
@@ -176,6 +176,19 @@ class Robot:
         self._last = (key, found)  # reading, gravity and scene ask for the same rows one after the other
         return found
 
+    @cached_property
+    def moved_masses(self) -> Array:
+        """Mass of the link that each joint moves, with what is fixed to it, shape (k,), kg; 0 where none is given."""
+        return np.array([self._model.inertias[j].mass for j in self._joints])
+
+    @cached_property
+    def reach(self) -> float:
+        """Length of the chain from base_link to tool0, with the stroke of joints that slide, m; it reaches no farther."""
+        m = self._model
+        lengths = [float(np.linalg.norm(m.jointPlacements[j].translation)) for j in self._joints]
+        stroke = np.where(self.is_prismatic & np.isfinite(self.upper - self.lower), self.upper - self.lower, 0.0)
+        return sum(lengths) + float(np.linalg.norm(m.frames[self._tcp].placement.translation)) + float(stroke.sum())
+
     def gravity_torque(
         self,
         q: Array,
@@ -242,6 +255,16 @@ def _distinct(q: Array) -> tuple[Array, IntArray]:
     """Distinct rows and where each row is among them."""
     rows, index = np.unique(q, axis=0, return_inverse=True)
     return rows, index.ravel()
+
+
+def _unread(urdf_text: str) -> str:
+    """Why Pinocchio, which names no reason, can't read a description that is XML; empty where it is not known."""
+    if "${" in urdf_text or "<xacro:" in urdf_text:
+        return "it holds xacro expressions, as ${...}; expand it first: xacro robot.urdf.xacro > robot.urdf"
+    for joint in ElementTree.fromstring(urdf_text).iter("joint"):
+        if joint.get("type") in ("revolute", "prismatic") and joint.find("limit") is None:
+            return f"joint '{joint.get('name')}' is {joint.get('type')} and has no <limit lower= upper= effort= velocity=>"
+    return ""
 
 
 def parent_joint(frame: pin.Frame) -> int:

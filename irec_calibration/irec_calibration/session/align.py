@@ -20,10 +20,11 @@ from ..files import read_document
 from ..recording import BagReader
 from ..robot import Robot
 from ..typing import Array, IntArray, Json
+from .columns import Columns
 from .data import Session
 from .header import FORMAT as SESSION_FORMAT
 from .header import described, parse_header
-from .table import Columns, session_from_columns
+from .table import session_from_columns
 
 FORMAT = "irec-align/1"
 LONGEST_DELAY = 0.3  # s, either way

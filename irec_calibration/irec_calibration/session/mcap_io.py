@@ -21,9 +21,10 @@ from ..files import one_line
 from ..recording import BagReader, BagWriter
 from ..robot import Robot
 from . import record_message
+from .columns import XYZ, Columns
 from .data import Session
 from .header import FORMAT, parse_header_text
-from .table import XYZ, Columns, columns_of, session_from_columns
+from .table import columns_of, session_from_columns
 
 
 class _MessageColumns(Columns):

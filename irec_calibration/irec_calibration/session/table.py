@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 from pathlib import Path
@@ -13,92 +11,15 @@ import numpy as np
 import yaml
 
 from ..errors import SessionError
-from ..files.regular import TABLE_LIMIT, read_text
 from ..robot import Robot
 from ..typing import Array, IntArray
+from .columns import XYZ, Columns
+from .copies import check_copies
 from .data import Session
 from .header import Header, described, read_header
+from .stamps import trusted
 
-XYZ = ("x", "y", "z")
 LIMIT_MARGIN_RAD = 0.01
-LATEST_BEGIN = 3600.0  # s; stamps that begin later are not counted from the begin of the session (times of day, of a controller)
-
-
-class Columns:
-    """The columns of samples.csv as text, with errors that name file, line and column."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            file = io.StringIO(read_text(path, "table of samples", SessionError, TABLE_LIMIT), newline="")
-            rows = [(reader.line_num, row) for reader in [csv.reader(file)] for row in reader if row]
-        except csv.Error as error:
-            raise SessionError(f"{path}: can't read the table: {error}") from error
-        if not rows:
-            raise SessionError(f"{path}: the file is empty; a header line with column names is needed")
-        self.names = [name.strip() for name in rows[0][1]]
-        doubled = {n for n in self.names if self.names.count(n) > 1}
-        if doubled:
-            raise SessionError(f"{path}:1: column '{sorted(doubled)[0]}' appears more than once")
-        self.lines = [line for line, _ in rows[1:]]
-        if not self.lines:
-            raise SessionError(f"{path}: no samples, only a header line")
-        for line, row in rows[1:]:
-            if len(row) != len(self.names):
-                raise SessionError(f"{path}:{line}: {len(row)} fields, the header has {len(self.names)}")
-        self._text = {name: [row[i].strip() for _, row in rows[1:]] for i, name in enumerate(self.names)}
-        self.used: set[str] = set()
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._text
-
-    def __len__(self) -> int:
-        return len(self.lines)
-
-    def where(self, row: int, name: str) -> str:
-        return f"{self.path}:{self.lines[row]}: column '{name}'"
-
-    def text(self, name: str) -> list[str]:
-        self.used.add(name)
-        return self._text[name]
-
-    def numbers(self, name: str, *, required: bool = True, absent: float | None = None) -> Array:
-        """One column as floats; NaN for an empty optional field, `absent` where the whole column is missing."""
-        if name not in self:
-            if absent is not None:
-                return np.full(len(self), absent)
-            raise SessionError(f"{self.path}:1: required column '{name}' is missing")
-        out = np.empty(len(self))
-        for i, text in enumerate(self.text(name)):
-            if text == "":
-                if required:
-                    raise SessionError(f"{self.where(i, name)} is empty; it must be measured in every row")
-                out[i] = math.nan
-                continue
-            try:
-                out[i] = float(text)
-            except ValueError:
-                raise SessionError(f"{self.where(i, name)}: '{text}' is not a number ('.' decimals are needed)") from None
-            if not math.isfinite(out[i]):
-                raise SessionError(f"{self.where(i, name)}: {text} is not a finite number; leave it empty if not measured")
-        return out
-
-    def integers(self, name: str, *, absent: int | None = None, minimum: int = 0) -> IntArray:
-        values = self.numbers(name, required=absent is None, absent=None if absent is None else float(absent))
-        if absent is not None:
-            values = np.where(np.isnan(values), float(absent), values)
-        for i, value in enumerate(values):
-            if value != int(value) or value < minimum:
-                raise SessionError(f"{self.where(i, name)}: {value:g} is not an integer of at least {minimum}")
-        return values.astype(np.int64)
-
-    def vectors(self, prefix: str, *, required: bool, absent: float | None = None) -> Array:
-        """`prefix_x, _y, _z` as (n, 3): all three or none of them measured in a row."""
-        out = np.stack([self.numbers(f"{prefix}_{a}", required=required, absent=absent) for a in XYZ], axis=1)
-        missing = np.isnan(out)
-        for i in np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1)):
-            raise SessionError(f"{self.where(int(i), prefix + '_*')}: some of x, y, z are empty; give all three or none")
-        return out
 
 
 def read_table(folder: str | Path) -> Session:
@@ -139,13 +60,13 @@ def session_from_columns(header: Header, robot: Robot, columns: Columns, folder:
     if "target_1" in columns:
         q_target = np.stack([columns.numbers(f"target_{i + 1}", required=False) for i in range(robot.n_joints)], axis=1)
     notes = list(header.notes)
-    if header.clock == "time" and len(stamp) and stamp.min() > LATEST_BEGIN:
-        # what changes with time since the session began (a warm-up) would be over long before
-        notes.append(f"stamps begin at {stamp.min():.10g} s, not with the session: counted from the first row")
-        stamp = stamp - stamp.min()
+    clock, stamp, about_time = trusted(header.clock, stamp, pose, repeat, load_case, loaded)
+    notes += about_time
+    notes += _unknown_cases(columns, header, load_case)
     unknown = [n for n in columns.names if n not in columns.used]
     if unknown:
         notes.append(f"columns ignored: {', '.join(unknown)}")
+    meta = header.meta if clock == header.clock else {**header.meta, "clock": clock}
     session = Session(
         name=header.name, kind=header.kind, robot=robot, serial=header.serial, pose=pose, load_case=load_case,
         repeat=repeat, stamp=stamp, q=q, p_tcp_in_base=p_tcp, p_marker_in_station=p_marker, station=station,
@@ -153,11 +74,28 @@ def session_from_columns(header: Header, robot: Robot, columns: Columns, folder:
         torque_in_tool=np.nan_to_num(torque), noise=header.noise, q_target=q_target, ext=ext,
         ext_axes=header.ext_axes, temperature=temperature, load_case_names=header.load_case_names,
         load_cases=header.load_cases, gravity_in_base=header.gravity_in_base, payload=header.payload,
-        passive=header.passive, clock=header.clock, inertials=header.inertials, has_torque="torque_x" in columns,
-        has_tcp=has_tcp, meta=header.meta, notes=tuple(notes), path=folder,
+        passive=header.passive, clock=clock, inertials=header.inertials, has_torque="torque_x" in columns,
+        has_tcp=has_tcp, meta=meta, notes=tuple(notes), path=folder,
     )  # fmt: skip
     check_rows(session, lambda row: f"{columns.path}:{columns.lines[row]}")
+    check_copies(session, lambda row: f"{columns.path}:{columns.lines[row]}")
     return session
+
+
+def _unknown_cases(columns: Columns, header: Header, load_case: IntArray) -> list[str]:
+    """Load cases of the rows that session.yaml, which lists load cases, does not list, as notes."""
+    listed = {0, *header.load_cases}
+    if len(listed) == 1:
+        return []
+    unknown = [int(c) for c in np.unique(load_case) if int(c) not in listed]
+    notes = []
+    for case in unknown:
+        first = columns.where(int(np.argmax(load_case == case)), "load_case")
+        notes.append(
+            f"load_case {case} of {int((load_case == case).sum())} row(s), first {first}, is not in load_cases of session.yaml "
+            f"({', '.join(str(c) for c in sorted(header.load_cases))})"
+        )
+    return notes
 
 
 def check_rows(session: Session, where: object) -> None:
@@ -178,7 +116,7 @@ def check_rows(session: Session, where: object) -> None:
         if key in seen:
             raise SessionError(
                 f"{place(i)}: pose {key[0]}, load_case {key[1]}, repeat {key[2]} is there already ({place(seen[key])});"
-                " count repeat up for a second measurement"
+                " if it was measured a second time, count repeat up, else leave the row out"
             )
         seen[key] = i
     if session.kind == "loaded":
@@ -196,8 +134,21 @@ def _check_limits(columns: Columns, robot: Robot, q: Array) -> None:
     for i, k in np.argwhere(outside):
         raise SessionError(
             f"{columns.where(int(i), f'joint_{k + 1}')}: {q[i, k]:.4f} is outside the limits of the robot description"
-            f" {robot.lower[k]:.4f} .. {robot.upper[k]:.4f} (degrees instead of radians?)"
+            f" {robot.lower[k]:.4f} .. {robot.upper[k]:.4f} ({_why_outside(robot, q, int(k))})"
         )
+
+
+def _why_outside(robot: Robot, q: Array, k: int) -> str:
+    """What may have brought joint k outside its limits, in words."""
+    if robot.is_prismatic[k]:
+        return "mm instead of m?"
+    low, high = robot.lower[k] - LIMIT_MARGIN_RAD, robot.upper[k] + LIMIT_MARGIN_RAD
+    outside = q[(q[:, k] < low) | (q[:, k] > high), k]
+    turned = np.stack([outside - 2.0 * np.pi, outside + 2.0 * np.pi])
+    # an angle in degrees is seldom just one turn off, and never in every row
+    if len(outside) < len(q) and bool(((turned >= low) & (turned <= high)).any(axis=0).all()):
+        return "a turn of 2 pi too many or too few in some rows?"
+    return "degrees instead of radians?"
 
 
 def _index(columns: Columns, name: str, names: list[str]) -> IntArray:

@@ -197,10 +197,10 @@ def test_readings_beside_the_controllers_that_no_place_of_the_station_mends_are_
 
 
 @pytest.mark.parametrize("command", ["solve", "diagnose"])
-def test_the_commands_end_with_1_and_the_reason(command, tmp_path, capsys):
+def test_the_commands_end_with_2_and_the_reason(command, tmp_path, capsys):
     folder = write_table(ALTERED["forces in kN"][0](LOADED), tmp_path / "session")
     out = tmp_path / "out.yaml"
-    assert main([command, str(folder), "-o", str(out)]) == 1
+    assert main([command, str(folder), "-o", str(out)]) == 2
     assert "kN for N" in capsys.readouterr().err
     assert not out.exists()
 
@@ -208,6 +208,6 @@ def test_the_commands_end_with_1_and_the_reason(command, tmp_path, capsys):
 def test_who_knows_better_goes_on_by_force(tmp_path, capsys):
     mars = replace(LOADED, gravity_in_base=(0.0, 0.0, -3.7), meta={**LOADED.meta, "gravity": [0, 0, -3.7]})
     folder = write_table(mars, tmp_path / "s")
-    assert main(["solve", str(folder), "-o", str(tmp_path / "m.yaml")]) == 1
+    assert main(["solve", str(folder), "-o", str(tmp_path / "m.yaml")]) == 2
     assert main(["solve", str(folder), "-o", str(tmp_path / "m.yaml"), "--accept-implausible"]) == 0
     assert "went on by --accept-implausible although gravity is 3.7" in capsys.readouterr().out

@@ -191,7 +191,7 @@ def test_what_a_broken_tracker_says_is_not_judged(tmp_path):
     made = pressed(12, encoder=2e-6)
     stuck = replace(made, p_marker_in_station=np.full((len(made), 3), 1000.0))
     folder = write_table(stuck, tmp_path / "table")
-    assert main(["solve", str(folder), "-o", str(tmp_path / "m.yaml")]) == 1
+    assert main(["solve", str(folder), "-o", str(tmp_path / "m.yaml")]) == 2
     assert main(["solve", str(folder), "--without-tracker", "-o", str(tmp_path / "m.yaml")]) == 0
     assert load_model(tmp_path / "m.yaml").made["without_tracker"] is True
 
