@@ -178,7 +178,10 @@ def usual(one: Explanation, effect_id: str) -> bool:
     # as differences show it: a station that is turned moves what is read at a reference by centimetres
     whole = float((observation.of(total_displacement(study.terms, scene)) ** 2).sum())
     own = sum(float((observation.of(d) ** 2).sum()) for d in mine.values())
-    values = {n: e.value for n, e in one.term(effect_id).estimates.items()}
+    known_only = one.term(effect_id).effect.usual_by_known
+    values = {
+        n: e.value for n, e in one.term(effect_id).estimates.items() if e.identified or e.se <= abs(e.value) or not known_only
+    }
     return one.term(effect_id).effect.is_usual(values, sqrt(own / max(whole, 1e-300)))
 
 

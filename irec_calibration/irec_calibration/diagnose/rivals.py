@@ -60,6 +60,7 @@ def rivals_of(
 
     Two laws of an axis' torque (play, stiffening, friction, counterbalance) are told apart by a share of the name's evidence
     more than two other effects: gears follow none of them exactly.
+    Play and a soft gear are told apart by how much torque takes it up: where no torque limit is stated, either may do.
     What the readings at the references carry has no rival that they carry less; what they prove without the differences, which
     other causes may bend, has none that does not move them.
 
@@ -67,7 +68,7 @@ def rivals_of(
         near: added effect -> effects that were about as good when it came in, each with its explanation then.
         gone: effects that were taken in and are no longer.
     """
-    out = {}
+    out: dict[str, tuple[tuple[str, float], ...]] = {}
     likelier: list[tuple[float, Explanation, Explanation]] = []
     models: dict[tuple[str, str], InPlace] = {}
     by_id = {o.effect.id: o for o in found}
@@ -83,6 +84,10 @@ def rivals_of(
             or (term.effect.turns_by_angle and o.effect.turns_by_angle)
         ]
         others |= {i: None for i in (*alike, *gone) if i not in final.ids and i not in others}
+        own_parameters = term.effect.parameters(final.study.ready)
+        also = term.effect.also_called(final.study.ready, term.theta(own_parameters))
+        if also and also not in final.ids:
+            out[term.effect.id] = ((also, 0.0),)
         if not others:
             continue
         check()
@@ -138,6 +143,8 @@ def rivals_of(
                 models[term.effect.id, other] = InPlace(one, raw, by_themselves - by_none, share)
                 if raw < -settings.nats_to_separate and one.term(other).effect.beside != term.effect.id:
                     likelier.append((raw, one, bare))
+        known = {i for i, _ in same}
+        same += [one for one in out.get(term.effect.id, ()) if one[0] not in known]
         if same:
             out[term.effect.id] = tuple(sorted(same, key=lambda t: t[1]))
     return Rivals(out, tuple((one, bare) for _, one, bare in sorted(likelier, key=lambda t: t[0])), models)

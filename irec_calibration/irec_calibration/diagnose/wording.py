@@ -60,6 +60,11 @@ def verdict_of(
     if assessment.status == "adequate" and not few:
         parts.append(f"Nothing shows any other cause than noise{' and what every robot has' if assessment.usual else ''}.")
     parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
+    if any({"joint_backlash", "joint_stiffening"} <= set(s) for s in assessment.one_of) and _no_limits(assessment):
+        parts.append(
+            "What is soft over so little torque is play by one torque limit of the drive and a soft gear by another, and the"
+            " robot description states none (effort)."
+        )
     evidence = assessment.evidence
     if assessment.status == "unexplained" and not evidence:
         evidence = ("held_out_structure",)  # what either effect describes, and needed to be taken in
@@ -220,6 +225,12 @@ def _could_hide(assessment: Assessment) -> list[str]:
             " measured twice, each with its own reference."
         )
     return out
+
+
+def _no_limits(assessment: Assessment) -> bool:
+    """Whether a law of torque of the model would have another name under another torque limit."""
+    ready = assessment.study.ready
+    return any(t.effect.also_called(ready, t.theta(t.effect.parameters(ready))) for t in assessment.built.final.added)
 
 
 def _rest(assessment: Assessment) -> list[str]:

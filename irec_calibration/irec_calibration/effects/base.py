@@ -112,6 +112,7 @@ class Effect(ABC):
         family: effects that pass for each other; None: not known (effects of users).
         everywhere: kinds of session in which every robot has it and shows it, only its size is not known.
         usual_in: kinds of session in which it may be no larger than in every robot (`is_usual`).
+        usual_by_known: of values that the session does not know by itself that is not asked.
         beside: id of an effect that a robot which has this one has too: weighed beside that one first, and by itself only where
             that one does not come in.
         completes: id of an effect that every robot has and whose form it completes: never named as a cause, but weighed beside it
@@ -141,6 +142,7 @@ class Effect(ABC):
     family: ClassVar[Family | None] = None
     everywhere: ClassVar[tuple[str, ...]] = ()
     usual_in: ClassVar[tuple[str, ...]] = ("loaded",)
+    usual_by_known: ClassVar[bool] = False
     beside: ClassVar[str] = ""
     completes: ClassVar[str] = ""
     compliance_of: ClassVar[Axes | None] = None
@@ -224,6 +226,11 @@ class Effect(ABC):
             values: parameter -> fitted value; share: RMS of its displacement over that of the whole model.
         """
         return False
+
+    def also_called(self, scene: Scene, theta: Array) -> str:
+        """Id of another effect that these values would be under another torque limit of the drives, where the robot description
+        states none; else empty."""
+        return ""
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         """Changes of the robot over the years that its parameters describe, for a robot like that of a scene."""

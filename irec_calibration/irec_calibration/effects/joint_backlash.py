@@ -11,7 +11,7 @@ from ..robot.ratings import rated_torque
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .live import ColumnLaw, LiveForm, Tick, drives
-from .scales import comes_near_zero
+from .scales import comes_near_zero, may_be_wide
 from .scene import Scene
 from .traits import Ageing, Family
 
@@ -72,6 +72,11 @@ class JointBacklash(Effect):
         play = [v for n, v in values.items() if n.startswith("b_")]
         axes = sum(play) ** 2 / max(sum(v**2 for v in play), 1e-300)  # how many it is spread over, counted by size
         return max(play, default=0.0) <= USUAL_PLAY and axes >= USUAL_AXES
+
+    def also_called(self, scene: Scene, theta: Array) -> str:
+        driven = np.flatnonzero(scene.driven)
+        soft = theta[-2] * rated_torque(scene.robot)[driven]
+        return "joint_stiffening" if may_be_wide(scene, driven, theta[: len(driven)], soft, WIDEST) else ""
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         return tuple(

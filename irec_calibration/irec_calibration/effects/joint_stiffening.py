@@ -12,7 +12,7 @@ from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .joint_backlash import WIDEST
 from .live import ColumnLaw, LiveForm, Springs, Tick, drives
-from .scales import comes_near_zero, typical_compliance
+from .scales import comes_near_zero, may_be_wide, typical_compliance
 from .scene import Scene
 from .traits import Family
 
@@ -73,6 +73,11 @@ class JointStiffening(Effect):
         before, acting = scene.preload(), scene.tau_acting + scene.tau_gravity
         bent = scene.tau + scene.tau_gravity - before - x_0 * (saturating(acting / x_0) - saturating(before / x_0))
         return (scene.J * bent[:, None, :])[:, :, scene.driven]
+
+    def also_called(self, scene: Scene, theta: Array) -> str:
+        driven = np.flatnonzero(scene.driven)
+        soft = theta[-2] * rated_torque(scene.robot)[driven]
+        return "" if may_be_wide(scene, driven, theta[:-2], soft, WIDEST, all_of_them=True) else "joint_backlash"
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray:
         return np.append(comes_near_zero(scene, theta[-2] * rated_torque(scene.robot))[scene.driven], (True, True))

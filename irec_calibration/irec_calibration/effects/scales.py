@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..robot import Robot
-from ..robot.ratings import rated_torque
-from ..typing import Array, BoolArray
+from ..robot.ratings import rated_torque, rating_known
+from ..typing import Array, BoolArray, IntArray
 from .scene import Scene
 
 TWIST_AT_RATED_TORQUE = 1e-3  # rad; heavy and light robots alike twist 0.2 .. 2 mrad per joint at their drives' limit
@@ -16,6 +16,7 @@ TWIST_UNDER_OWN_WEIGHT = 0.02  # rad; light arms on soft drives or soft servos s
 LAG = 3e-3  # rad; friction of a sound gear and servo
 LAG_OVER_REPEATABILITY = 5.0  # what the side from which a joint came moves the tool by, over one standard deviation of the rest
 USUAL_SHARE = 0.03  # of the deflection, RMS; chosen: the most that tools and floors without any cause were found to give way by
+COUNTS = 0.1  # of the largest size of a law in any axis: less says nothing of what it is
 NEAR = 1.5  # times the range over which a law of torque bends: tanh is at 0.9 there
 
 
@@ -51,6 +52,27 @@ def largest_lag(scene: Scene) -> Array:
 def typical_reach(scene: Scene) -> float:
     """Distance of the TCP from base_link, m."""
     return float(max(np.linalg.norm(scene.p_tcp, axis=1).max(), 0.1))
+
+
+def may_be_wide(
+    scene: Scene, axes: IntArray, size: Array, soft: Array, share: float, *, all_of_them: bool = False
+) -> bool:
+    """Whether a range of torque over which gears are soft may be wider than a share of the torque limits of their drives.
+
+    Where the robot description states no limit, `rated_torque` is a guess; all that is known is that the drive carries what the
+    session shows. Axes that it states do not ask.
+
+    Args:
+        axes: joints from 0, (p,); size: of the law in each, (p,); soft: half of the range, (p,), N m; share: of the limit.
+        all_of_them: whether it is so in all axes that have the law; else in one.
+    """
+    largest = np.abs(scene.tau_acting + scene.tau_gravity).max(axis=0)[axes]
+    counts = np.abs(size) >= COUNTS * np.abs(size).max(initial=0.0)
+    asked = counts & (size != 0.0) & ~rating_known(scene.robot)[axes]
+    if not asked.any():
+        return all_of_them
+    wide = soft[asked] > share * largest[asked]
+    return bool(wide.all() if all_of_them else wide.any())
 
 
 def comes_near_zero(scene: Scene, soft: Array) -> BoolArray:

@@ -32,6 +32,7 @@ class StationRegistration(Effect):
     needs = ("tracker",)
     in_readings = True
     usual_in = ("absolute", "loaded")
+    usual_by_known = True  # a turn about the first axis may as well be that axis' zero
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         return tuple(

@@ -94,6 +94,20 @@ def test_a_station_that_is_turned_makes_no_soft_tool_usual() -> None:
     assert not usual(added, "tool_compliance")
 
 
+@pytest.mark.parametrize(("se", "usual_then"), [(1e-5, False), (3e-3, True)])
+def test_a_turn_of_a_station_that_another_effect_makes_up_for_does_not_count(se, usual_then) -> None:
+    plain = study(lambda scene: 1e-8 * scene.force)
+    turned = find_effect("station_registration")
+    found = study_of(plain.observation, (*plain.terms, Term(turned)))
+    values = dict.fromkeys((p.name for p in turned.parameters(found.ready)), Estimate(2e-4, 1e-6, "rad", identified=True))
+    about_z = next(n for n in values if n.startswith("w_z"))
+    values[about_z] = Estimate(2e-3, se, "rad", identified=False)
+    terms = (*found.terms[:-1], Term(turned, values))
+    known = replace(found, fit=replace(found.fit, terms=terms))
+    added = Explanation(terms[-1:], known, 0.0, grow(found.bench, family_of(found), found.base))
+    assert usual(added, "station_registration") == usual_then
+
+
 def study(hidden) -> Study:
     measured = synthetic.session(poses=20, seed=5, extra=hidden)
     return prepare(measured, start_terms(measured)).to_weigh

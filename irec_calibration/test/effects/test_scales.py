@@ -176,3 +176,25 @@ def test_a_light_robot_may_stand_on_what_is_as_soft_as_it_is_light():
     light = re.sub(r'mass value="([\d.]+)"', lambda m: f'mass value="{float(m[1]) / 100}"', urdf())
     assert softest_likely(light) > 5.0 * softest_likely(urdf())
     assert softest_likely(NO_MASSES) == 2e-6
+
+
+@pytest.mark.parametrize(
+    ("effort", "soft", "called"),
+    [
+        ("0", 0.002, ("", "joint_backlash")),  # of the torque that the session shows: play, whatever the limit is
+        ("0", 0.1, ("joint_stiffening", "")),  # more than 3 % of that: play only of a drive with a larger limit
+        ("as stated", 0.1, ("", "")),
+    ],
+)
+def test_play_and_a_soft_gear_are_two_names_of_one_law_where_no_torque_limit_is_stated(effort, soft, called):
+    measured = session(poses=8)
+    robot = measured.robot if effort == "as stated" else Robot(NO_EFFORT)
+    scene = scene_of(replace(measured, robot=robot))
+    largest = np.abs(scene.tau + scene.tau_gravity).max(axis=0)[0]
+    said = []
+    for name, size, range_of in (("joint_backlash", "b_1", "w"), ("joint_stiffening", "a_1", "x_0")):
+        effect = find_effect(name)
+        parameters = effect.parameters(scene)
+        values = {size: 1e-4, range_of: soft * largest / rated_torque(robot)[0]}
+        said.append(effect.also_called(scene, np.array([values.get(p.name, 0.0) for p in parameters])))
+    assert tuple(said) == called
