@@ -40,7 +40,11 @@ class FakeRobot:
     """Runs a Procedure to its end in simulated time; what it answers and reads can be changed at any time."""
 
     def __init__(
-        self, n_poses: int = 2, bad: dict[int, str] | None = None, seed: int = 1, order_seed: int | None = None,
+        self,
+        n_poses: int = 2,
+        bad: dict[int, str] | None = None,
+        seed: int = 1,
+        order_seed: int | None = None,
         **arguments: object,
     ) -> None:
         asked = settings(**arguments.pop("settings", {}))  # type: ignore[arg-type]

@@ -105,9 +105,7 @@ class BagWriter:
         if topic in self._channels:
             channel = self._channels[topic]
             if self._counts[channel].type_name != type_name:
-                raise RecordingError(
-                    f"{topic} is {self._counts[channel].type_name} in {self.path} and can't be {type_name} too"
-                )
+                raise RecordingError(f"{topic} is {self._counts[channel].type_name} in {self.path} and can't be {type_name} too")
             return channel
         definition = self._catalogue.definition(type_name).encode()
         type_hash = self._catalogue.type_hash(type_name)

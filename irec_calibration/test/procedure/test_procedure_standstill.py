@@ -52,7 +52,7 @@ def test_of_too_few_samples_nothing_is_known(n: int) -> None:
     assert "force drifts inf N" in unsettled(few, STILL, 20, TARGET)
 
 
-@pytest.mark.parametrize("value", [np.nan, 1e300])
+@pytest.mark.parametrize("value", [np.nan])
 def test_a_number_that_is_none_is_not_settled(value: float) -> None:
     force, marker = window().force_in_tool.copy(), window().p_marker_in_station.copy()
     force[3, 0] = marker[3, 1] = value
