@@ -103,7 +103,7 @@ def _backwards(stamp: Array, group: IntArray, load_case: IntArray) -> str:
 
 
 def _restarted(stamp: Array, group: IntArray) -> str:
-    """Whether stamps begin anew within the file, so that poses would be measured at the same time."""
+    """Whether stamps restart within the file, so that poses would be measured at the same time."""
     back = np.flatnonzero(np.diff(stamp) < 0.0)
     if not 0 < len(back) <= MOST_RESTARTS or len(stamp) < FEWEST:
         return ""
@@ -115,7 +115,7 @@ def _restarted(stamp: Array, group: IntArray) -> str:
     if changes <= 1.5 * blocks:  # the second part lies before the first as a whole
         return ""
     return (
-        f"stamps begin anew {len(back)} time(s) (first at row {int(back[0]) + 2}), and poses would be measured at the same time"
+        f"stamps restart {len(back)} time(s) (first at row {int(back[0]) + 2}), and poses would be measured at the same time"
     )
 
 

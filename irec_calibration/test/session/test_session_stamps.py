@@ -51,7 +51,7 @@ WRONG = {
     "backwards": (STAMP[::-1], "none", "fall from row to row"),
     "references 20 s late": (STAMP + 20.0 * (CASE == 0), "order", "stamps of two clocks"),
     "references since 1970": (STAMP + 1.7e9 * (CASE == 0), "order", "in 8 of 8 poses"),
-    "begun anew in the middle": (STAMP - (STAMP[24] - 3.0) * (POSE > 4), "order", "begin anew 1 time(s) (first at row 25)"),
+    "restarted in the middle": (STAMP - (STAMP[24] - 3.0) * (POSE > 4), "order", "restart 1 time(s) (first at row 25)"),
     "ms": (STAMP * 1e3, "order", "ms for s?"),
     "ns since 1970": (STAMP * 1e9 + 1.7e18, "order", "ns for s?"),
     "a gap of years": (STAMP + 3e8 * (POSE > 4), "order", "days"),
