@@ -99,6 +99,8 @@ def _pointing(session: Session, nominal: dict[int, Array]) -> Iterator[str]:
 
 def _exchanged_reference(session: Session, nominal: dict[int, Array]) -> Iterator[str]:
     """Whether a load case reads nothing and the reference reads as that load case should."""
+    if not (session.load_case == 0).any():
+        return
     reference = np.median(session.force_in_tool[session.load_case == 0], axis=0)
     for case, f in nominal.items():
         read = np.median(session.force_in_tool[session.load_case == case], axis=0)

@@ -29,7 +29,7 @@ def remarks(session: Session) -> Iterator[str]:
     """What is odd about rows, a sentence each."""
     yield from _joints(session)
     yield from _air(session)
-    if session.kind == "loaded" and (session.load_case != 0).any():
+    if session.kind == "loaded" and (session.load_case != 0).any() and (session.load_case == 0).any():
         yield from _reference(session)
         yield from _channels(session)
 

@@ -89,7 +89,7 @@ def gravity_elsewhere(session: Session) -> Iterator[str]:
     rows = np.flatnonzero(session.marker_seen & session.on_tool)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), ROWS)).astype(int))] if len(rows) else rows
     g = np.array(session.gravity_in_base)
-    if len(rows) * 3 < 2 * (7 * session.q.shape[1] + 9) or not np.any(g):
+    if not len(rows) or not np.any(g):
         return
     some = session.select(rows)
     kin = some.robot.kinematics(some.q)
@@ -100,6 +100,8 @@ def gravity_elsewhere(session: Session) -> Iterator[str]:
     residual = np.einsum("nij,nj->ni", R, placed.p_marker_in_station) + t - believed
     J = kin.jacobian(believed)
     free = np.concatenate([_geometry(kin, believed), _places(placed, kin, believed)], axis=2)
+    if 2 * free.shape[2] > 3 * len(rows):  # many markers of few readings
+        return
     free = free / np.maximum(np.linalg.norm(free, axis=(0, 1)), 1e-12)
     torque_by = [some.robot.gravity_torque(some.q, tuple(e), some.payload) for e in np.eye(3)]
     full = np.concatenate([free, *(J * torque[:, None, :] * 1e-6 for torque in torque_by)], axis=2)

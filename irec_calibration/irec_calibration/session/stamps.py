@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..typing import Array, IntArray
+from ..typing import Array, BoolArray, IntArray
 
 LATEST_BEGIN = 3600.0  # s; stamps that begin later are not counted from the begin of the session (times of day, of a controller)
 LONGEST_ROW = 1800.0  # s; usual (median) time from one row to the next
@@ -70,13 +70,26 @@ def _of_other_clocks(stamp: Array, group: IntArray, load_case: IntArray) -> str:
         return ""
     following = np.minimum(begins + 1, len(stamp) - 1)
     late = stamp[begins] > stamp[following]
-    if late.mean() < 0.5:
+    if late.mean() < 0.5 or _measured_last(stamp, group, reference, begins[late]) > 0.5:
         return ""
     by = float(np.median((stamp[begins] - stamp[following])[late]))
     return (
         f"references are stamped later than the load cases that follow them in {int(late.sum())} of {len(begins)} poses "
         f"(by {by:.4g} s, median): stamps of two clocks"
     )
+
+
+def _measured_last(stamp: Array, group: IntArray, reference: BoolArray, begins: IntArray) -> float:
+    """Share of references that one clock may have stamped after their load cases and before those of the next pose."""
+    loaded = np.flatnonzero(~reference)
+    order = loaded[np.argsort(stamp[loaded], kind="stable")]
+    last = np.full(int(group.max()) + 1, -1)
+    last[group[order]] = np.arange(len(order))  # place of the last load case of each pose, by stamp
+    at = last[group[begins]]
+    after = np.where(at + 1 < len(order), stamp[order[np.minimum(at + 1, len(order) - 1)]], np.inf)
+    end = np.where(at + 1 < len(order), after, stamp[order[-1]] + LONGEST_ROW)
+    between = (at >= 0) & (stamp[begins] >= stamp[order[at]]) & (stamp[begins] <= end)
+    return float(between.mean())
 
 
 def _backwards(stamp: Array, group: IntArray, load_case: IntArray) -> str:
@@ -90,7 +103,7 @@ def _backwards(stamp: Array, group: IntArray, load_case: IntArray) -> str:
 
 
 def _restarted(stamp: Array, group: IntArray) -> str:
-    """Whether stamps begin anew within the file, so that poses would be measured at the same time."""
+    """Whether stamps restart within the file, so that poses would be measured at the same time."""
     back = np.flatnonzero(np.diff(stamp) < 0.0)
     if not 0 < len(back) <= MOST_RESTARTS or len(stamp) < FEWEST:
         return ""
@@ -102,7 +115,7 @@ def _restarted(stamp: Array, group: IntArray) -> str:
     if changes <= 1.5 * blocks:  # the second part lies before the first as a whole
         return ""
     return (
-        f"stamps begin anew {len(back)} time(s) (first at row {int(back[0]) + 2}), and poses would be measured at the same time"
+        f"stamps restart {len(back)} time(s) (first at row {int(back[0]) + 2}), and poses would be measured at the same time"
     )
 
 
