@@ -51,6 +51,8 @@ def _check_rows(session: Session, rows: IntArray, of_reading: IntArray, where: C
     copies = np.setdiff1d(np.arange(len(rows)), first)
     if not len(copies):
         return
+    if len(np.unique(session.pose[rows[first]])) == 1 and len(session.poses) > 1:
+        return  # every pose reads as the first one does: a rehearsal with readings that stand still, of which a note says so
     b = int(rows[copies[0]])
     a = int(rows[first[group[copies[0]]]])
     one, other = int(session.pose[b]), int(session.pose[a])

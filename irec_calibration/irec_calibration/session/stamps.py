@@ -114,9 +114,7 @@ def _restarted(stamp: Array, group: IntArray) -> str:
     changes = 1 + int((np.diff(by_stamp) != 0).sum())
     if changes <= 1.5 * blocks:  # the second part lies before the first as a whole
         return ""
-    return (
-        f"stamps restart {len(back)} time(s) (first at row {int(back[0]) + 2}), and poses would be measured at the same time"
-    )
+    return f"stamps restart {len(back)} time(s) (first at row {int(back[0]) + 2}), and poses would be measured at the same time"
 
 
 def _too_long(stamp: Array) -> str:

@@ -41,6 +41,11 @@ def test_copied_rows_are_refused_with_both_places(session, words):
     assert words in str(refused.value)
 
 
+def test_a_rehearsal_in_which_every_pose_reads_the_same_is_read():
+    one = LOADED.select(np.tile(np.arange(6), 7))
+    check_copies(replace(one, pose=np.repeat(np.arange(1, 8), 6)), where)
+
+
 def test_a_reading_that_is_the_same_by_chance_is_no_copy():
     coarse = twice(LOADED, repeat=1)
     check_copies(replace(coarse, p_marker_in_station=np.round(coarse.p_marker_in_station, 4)), where)
