@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from irec_calibration.errors import SolveError
+from irec_calibration.identification import bounded
 from irec_calibration.identification.bounded import solve_bounded_gram
 from scipy.optimize import lsq_linear
 
@@ -101,3 +102,17 @@ def test_a_variable_with_equal_bounds_keeps_its_value():
 def test_a_problem_without_a_solution_is_refused_with_its_reason(G, h, lower, upper, said):
     with pytest.raises(SolveError, match=said):
         solve_bounded_gram(G, h, lower, upper)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), p=st.integers(1, 20), kind=st.sampled_from(["none", "lower", "both", "shifted"]))
+def test_a_problem_that_exchanges_do_not_settle_has_the_same_solution(seed, p, kind):
+    A, d, lower, upper = problem(seed, 3 * p + 5, p, kind)
+    if kind != "none":
+        lower[0] = upper[0] = 0.1
+    usual = solve_bounded_gram(A.T @ A, A.T @ d, lower, upper)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bounded, "_MAX_SWEEPS", 0)
+        x = solve_bounded_gram(A.T @ A, A.T @ d, lower, upper)
+    np.testing.assert_allclose(x, usual, rtol=1e-6, atol=1e-7)
+    assert ((x >= lower) & (x <= upper)).all() and (kind == "none" or x[0] == 0.1)
