@@ -179,9 +179,7 @@ def usual(one: Explanation, effect_id: str) -> bool:
     whole = float((observation.of(total_displacement(study.terms, scene)) ** 2).sum())
     own = sum(float((observation.of(d) ** 2).sum()) for d in mine.values())
     known_only = one.term(effect_id).effect.usual_by_known
-    values = {
-        n: e.value for n, e in one.term(effect_id).estimates.items() if e.identified or e.se <= abs(e.value) or not known_only
-    }
+    values = {n: e.value for n, e in one.term(effect_id).estimates.items() if SURELY * e.se <= abs(e.value) or not known_only}
     return one.term(effect_id).effect.is_usual(values, sqrt(own / max(whole, 1e-300)))
 
 

@@ -101,7 +101,7 @@ def test_a_turn_of_a_station_that_another_effect_makes_up_for_does_not_count(se,
     found = study_of(plain.observation, (*plain.terms, Term(turned)))
     values = dict.fromkeys((p.name for p in turned.parameters(found.ready)), Estimate(2e-4, 1e-6, "rad", identified=True))
     about_z = next(n for n in values if n.startswith("w_z"))
-    values[about_z] = Estimate(2e-3, se, "rad", identified=False)
+    values[about_z] = Estimate(2e-3, se, "rad", identified=True)
     terms = (*found.terms[:-1], Term(turned, values))
     known = replace(found, fit=replace(found.fit, terms=terms))
     added = Explanation(terms[-1:], known, 0.0, grow(found.bench, family_of(found), found.base))
