@@ -60,7 +60,7 @@ def verdict_of(
     if assessment.status == "adequate" and not few:
         parts.append(f"Nothing shows any other cause than noise{' and what every robot has' if assessment.usual else ''}.")
     parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
-    if any({"joint_backlash", "joint_stiffening"} <= set(s) for s in assessment.one_of) and _no_limits(assessment):
+    if _by_limit_only(assessment):
         parts.append(
             "What is soft over so little torque is play by one torque limit of the drive and a soft gear by another, and the"
             " robot description states none (effort)."
@@ -227,10 +227,14 @@ def _could_hide(assessment: Assessment) -> list[str]:
     return out
 
 
-def _no_limits(assessment: Assessment) -> bool:
-    """Whether a law of torque of the model would have another name under another torque limit."""
+def _by_limit_only(assessment: Assessment) -> bool:
+    """Whether two effects of which one is needed are told apart by the torque limits of the drives, which nobody has stated."""
     ready = assessment.study.ready
-    return any(t.effect.also_called(ready, t.theta(t.effect.parameters(ready))) for t in assessment.built.final.added)
+    for term in assessment.built.final.added:
+        also = term.effect.also_called(ready, term.theta(term.effect.parameters(ready)))
+        if also and any({term.effect.id, also} <= set(s) for s in assessment.one_of):
+            return True
+    return False
 
 
 def _rest(assessment: Assessment) -> list[str]:

@@ -15,7 +15,8 @@ def steps(times: float, wanders: float = 0.0, model: str = "", usual: tuple[str,
     level = times * 30e-6
     noise = InferredNoise(30e-6, level, 0.9 * level, 1.1 * level, "residual", 300.0, wanders, 75.0)
     found = SimpleNamespace(
-        verdict=SimpleNamespace(status="adequate", usual=usual, one_of=()), proposals=(), next_measurements=(), noise=noise,
+        verdict=SimpleNamespace(status="adequate", usual=usual, one_of=(), too_few=False), proposals=(), next_measurements=(),
+        noise=noise,
         model=SimpleNamespace(effects=EIGHTEEN_DOF),
     )  # fmt: skip
     return after_diagnosis(found, "SESSION", model)  # type: ignore[arg-type]
