@@ -322,9 +322,10 @@ def test_a_source_that_is_started_before_the_first_offset_waits_for_it():
     block.close()
 
 
-def test_after_a_fault_offsets_are_followed_again_once_their_source_has_begun_at_zero():
-    source, block = given_source()
-    now, states = 50.0, []
+def fed(source, block):
+    """Start a source; a function that gives it an offset along x, m (None: none), for some seconds and tells its state, and the
+    list of what it sends, (3,) each."""
+    now, sent = 50.0, []
     source.start(now)
 
     def run(seconds: float, offset: float | None) -> State:
@@ -333,9 +334,15 @@ def test_after_a_fault_offsets_are_followed_again_once_their_source_has_begun_at
             now += PERIOD
             if offset is not None:
                 block.write(np.array([now, 1.0, offset, 0, 0, 0, 0, 0]))
-            states.append(source.offset(now)[0].copy())
+            sent.append(source.offset(now)[0].copy())
         return source.state
 
+    return run, sent
+
+
+def test_after_a_fault_offsets_are_followed_again_once_their_source_has_begun_at_zero():
+    source, block = given_source()
+    run, states = fed(source, block)
     assert run(1.0, 3e-4) is State.ACTIVE
     assert run(3.0, None) is State.FAULT
     assert run(1.0, 3e-4) is State.FAULT
@@ -347,18 +354,7 @@ def test_after_a_fault_offsets_are_followed_again_once_their_source_has_begun_at
 
 def test_offsets_that_end_at_zero_are_no_fault_and_the_next_ones_are_followed():
     source, block = given_source()
-    now = 50.0
-    source.start(now)
-
-    def run(seconds: float, offset: float | None) -> State:
-        nonlocal now
-        for _ in range(round(seconds / PERIOD)):
-            now += PERIOD
-            if offset is not None:
-                block.write(np.array([now, 1.0, offset, 0, 0, 0, 0, 0]))
-            source.offset(now)
-        return source.state
-
+    run, _ = fed(source, block)
     assert run(1.0, 3e-4) is State.ACTIVE
     assert run(0.3, 0.0) is State.ACTIVE
     assert run(3.0, None) is State.INACTIVE and "ended at zero" in source.reason

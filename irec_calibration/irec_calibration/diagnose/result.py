@@ -70,7 +70,7 @@ class Verdict:
         confident: the first name stands alone; otherwise others explain the session as well.
         parts: of each named effect that acts in axes or directions: which of them the session proves. An axis that is not
             among the proven ones is not to be acted upon.
-        too_few: there are too few poses or equations to judge a model: `adequate` says nothing then.
+        too_few: `adequate` for want of poses or equations: nothing is said of the model.
     """
 
     status: str
@@ -91,7 +91,7 @@ class Verdict:
     @property
     def in_short(self) -> str:
         """What a line or a title begins with."""
-        return "too few data to judge" if self.too_few and self.status == "adequate" else self.status.replace("_", " ")
+        return "too few data to judge" if self.too_few else self.status.replace("_", " ")
 
 
 @dataclass(frozen=True)

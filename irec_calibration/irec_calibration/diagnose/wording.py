@@ -118,7 +118,7 @@ def verdict_of(
         one_of=assessment.one_of,
         usual=assessment.usual,
         hidden_m=assessment.hidden_m,
-        too_few=few,
+        too_few=few and assessment.status == "adequate",
         parts={i: p for i, p in assessment.parts.items() if i in assessment.names},
     )
 

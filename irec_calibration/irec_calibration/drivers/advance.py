@@ -36,9 +36,8 @@ class AdvanceWatch:
         self._share = 1.0  # of what is new in this tick
         self._in_air = np.zeros(3)
         self._from: Array | None = None  # TCP at the begin, or where the contact was lost, (3,), m
-        self._anchor: tuple[float, float] | None = (
-            None  # way, m, and force, N, from which on a rise is expected; None: no contact
-        )
+        # way, m, and force, N, from which on a rise is expected; None: no contact
+        self._anchor: tuple[float, float] | None = None
         self._late: deque[tuple[float, float, float]] = deque()  # time, way, force
 
     def read(self, dt: float, force: Array) -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..robot.kinematics import cross_matrices
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import LeftOut
@@ -87,7 +88,7 @@ class GeometryError(Effect):
             turned = np.einsum("nji,nj->ni", R, p - scene.kin.origin[:, k]) @ E.T
             ways = left_jacobian(w) @ np.stack([axis[k], *virtual[k]], axis=1)
             by_own[k, :, :, :3] = R
-            by_own[k, :, :, 3:] = R @ -(_crossing(turned).reshape(-1, 3) @ ways).reshape(n, 3, 3)
+            by_own[k, :, :, 3:] = R @ -(cross_matrices(turned).reshape(-1, 3) @ ways).reshape(n, 3, 3)
             if scene.kin.is_prismatic[k]:
                 by_own[k, :, :, 3] = R @ axis[k]
             p = scene.kin.origin[:, k] + np.einsum("nij,nj->ni", R, turned + t)
@@ -156,13 +157,6 @@ class GeometryError(Effect):
         out[..., 1:4] = np.swapaxes(scene.kin.R_joint, 1, 2) * scene.moves_with_arm[:, None, None, None]
         out[..., 4:6] = scene.V.reshape(n, 3, k, 2)
         return out.reshape(n, 3, 6 * k)
-
-
-def _crossing(v: Array) -> Array:
-    """Matrices of the products v x, (n, 3, 3), of vectors (n, 3)."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return np.asarray(out - np.swapaxes(out, 1, 2))
 
 
 def _by_geometry(scene: Scene) -> Array | None:

@@ -76,7 +76,7 @@ class JointBacklash(Effect):
     def also_called(self, scene: Scene, theta: Array) -> str:
         driven = np.flatnonzero(scene.driven)
         soft = theta[-2] * rated_torque(scene.robot)[driven]
-        return "joint_stiffening" if may_be_wide(scene, driven, theta[: len(driven)], soft, WIDEST) else ""
+        return "joint_stiffening" if may_be_wide(scene, driven, theta[: len(driven)], soft, WIDEST).any() else ""
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         return tuple(

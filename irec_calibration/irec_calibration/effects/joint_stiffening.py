@@ -77,7 +77,7 @@ class JointStiffening(Effect):
     def also_called(self, scene: Scene, theta: Array) -> str:
         driven = np.flatnonzero(scene.driven)
         soft = theta[-2] * rated_torque(scene.robot)[driven]
-        return "" if may_be_wide(scene, driven, theta[:-2], soft, WIDEST, all_of_them=True) else "joint_backlash"
+        return "" if may_be_wide(scene, driven, theta[:-2], soft, WIDEST).all() else "joint_backlash"
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray:
         return np.append(comes_near_zero(scene, theta[-2] * rated_torque(scene.robot))[scene.driven], (True, True))

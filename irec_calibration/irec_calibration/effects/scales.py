@@ -54,25 +54,19 @@ def typical_reach(scene: Scene) -> float:
     return float(max(np.linalg.norm(scene.p_tcp, axis=1).max(), 0.1))
 
 
-def may_be_wide(
-    scene: Scene, axes: IntArray, size: Array, soft: Array, share: float, *, all_of_them: bool = False
-) -> bool:
-    """Whether a range of torque over which gears are soft may be wider than a share of the torque limits of their drives.
+def may_be_wide(scene: Scene, axes: IntArray, size: Array, soft: Array, share: float) -> BoolArray:
+    """Of the axes that have a law and whose torque limit is not stated: whether the range over which the gear is soft may be
+    wider than a share of the limit.
 
-    Where the robot description states no limit, `rated_torque` is a guess; all that is known is that the drive carries what the
-    session shows. Axes that it states do not ask.
+    There `rated_torque` is a guess; all that is known is that the drive carries what the session shows.
 
     Args:
         axes: joints from 0, (p,); size: of the law in each, (p,); soft: half of the range, (p,), N m; share: of the limit.
-        all_of_them: whether it is so in all axes that have the law; else in one.
     """
     largest = np.abs(scene.tau_acting + scene.tau_gravity).max(axis=0)[axes]
-    counts = np.abs(size) >= COUNTS * np.abs(size).max(initial=0.0)
-    asked = counts & (size != 0.0) & ~rating_known(scene.robot)[axes]
-    if not asked.any():
-        return all_of_them
-    wide = soft[asked] > share * largest[asked]
-    return bool(wide.all() if all_of_them else wide.any())
+    has_it = (size != 0.0) & (np.abs(size) >= COUNTS * np.abs(size).max(initial=0.0))
+    asked = has_it & ~rating_known(scene.robot)[axes]
+    return np.asarray(soft[asked] > share * largest[asked])
 
 
 def comes_near_zero(scene: Scene, soft: Array) -> BoolArray:

@@ -8,7 +8,7 @@ The method is block principal pivoting (Judice and Pires 1994, "A block principa
 strictly monotone linear complementarity problems"), extended to two-sided bounds: every variable is at its lower
 bound, free, or at its upper bound; all that violate the optimality conditions change sides together; where that stops
 helping, the worst alone; and where even that goes round in circles, the last alone (Murty's rule, finite for every
-positive definite G).
+positive definite G, but for as many exchanges as there are sets). What is not settled then is solved by an active set.
 """
 
 from __future__ import annotations
@@ -88,11 +88,11 @@ def solve_bounded_gram(
         change &= ~one_at_a_time[:, None] | (np.arange(p) == single[:, None])
         side[open_] = np.where(change, wish, side[open_])
     for k in open_:
-        x[k] = _one_at_a_time(gram[k], rhs[k], low[k], high[k])
+        x[k] = _by_active_set(gram[k], rhs[k], low[k], high[k])
     return x.reshape(shape)
 
 
-def _one_at_a_time(gram: Array, rhs: Array, low: Array, high: Array) -> Array:
+def _by_active_set(gram: Array, rhs: Array, low: Array, high: Array) -> Array:
     """One problem that exchanges go round in circles in, by an active set (Stark and Parker 1995, "Bounded-variable least
     squares"): slower, and its loss falls with each step.
 

@@ -121,16 +121,17 @@ def _without_few(
     low, high = x <= lower, x >= upper
     free, held = ~(low | high), (low | high) & (lower < upper)
     residual, gradient = b - A @ x, K[held] @ x - h[held]
-    W = np.linalg.solve(K[np.ix_(free, free)], A[:, free].T).T
+    A_free, A_held = A[:, free], A[:, held]
+    W = np.linalg.solve(K[np.ix_(free, free)], A_free.T).T
     for places in of_length.values():
         rows = np.array([of_pose[i] for i in places])
-        a, w = A[:, free][rows], W[rows]
+        a, w = A_free[rows], W[rows]
         left = np.eye(rows.shape[1]) - a @ w.transpose(0, 2, 1)
         sure = np.linalg.eigvalsh(0.5 * (left + left.transpose(0, 2, 1)))[:, 0] > LEAST_LEFT
         predicted = np.linalg.solve(np.where(sure[:, None, None], left, np.eye(rows.shape[1])), residual[rows][:, :, None])
         change = -(w.transpose(0, 2, 1) @ predicted)[:, :, 0]
         sure &= ((x[free] + change >= lower[free]) & (x[free] + change <= upper[free])).all(axis=1)
-        pull = gradient + change @ K[np.ix_(held, free)].T + (A[:, held][rows].transpose(0, 2, 1) @ predicted)[:, :, 0]
+        pull = gradient + change @ K[np.ix_(held, free)].T + (A_held[rows].transpose(0, 2, 1) @ predicted)[:, :, 0]
         sure &= (np.where(low[held], pull, -pull) >= 0.0).all(axis=1)
         for i, one, told in zip(places, predicted[:, :, 0], sure, strict=True):
             out[i] = one if told else None

@@ -9,13 +9,12 @@ import threading
 import time
 from typing import Protocol
 
-from irec_ros.startup import spin_until
+from irec_ros.startup import ending_signals, spin_until
 from rclpy.experimental import EventsExecutor
 
 from ..drivers.moves import RAMP
 from ..drivers.position_robot import RETREAT_SPEED, PositionRobot
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SLACK = 2.0  # s beyond what ramp and way back take
 
 
@@ -46,9 +45,8 @@ def work_until_ended(node: Driver, asked: threading.Event) -> None:
     def ask(*_: object) -> None:
         (again if asked.is_set() else asked).set()
 
-    for number in SIGNALS:
-        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup leaves SIGHUP
-            signal.signal(number, ask)
+    for number in ending_signals():
+        signal.signal(number, ask)
     executor = EventsExecutor()
     executor.add_node(node)  # type: ignore[arg-type]
     spin_until(asked, executor.spin_once)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import shutil
@@ -64,16 +63,15 @@ class HeldFile:
         """Copy the content to a new file beside `path`; its name, or None where that is not possible."""
         for k in range(1, MOST_NAMES):
             target = path.with_name(f"{path.stem}_rescued_{k}{path.suffix}")
-            with contextlib.suppress(FileExistsError):
-                try:
-                    with open(target, "xb") as copy:
-                        self._file.seek(0)
-                        shutil.copyfileobj(self._file, copy)
-                except FileExistsError:
-                    raise
-                except OSError:
-                    return None
-                return target
+            try:
+                with open(target, "xb") as copy:
+                    self._file.seek(0)
+                    shutil.copyfileobj(self._file, copy)
+            except FileExistsError:
+                continue
+            except OSError:
+                return None
+            return target
         return None
 
 

@@ -51,7 +51,7 @@ def write_diagnosis_report(
     v = diagnosis.verdict
     hero = _hero(diagnosis, session, folder)
     page = Page(
-        title=f"{TOO_FEW if v.too_few and v.status == 'adequate' else STATUS[v.status]}: {session.name}",
+        title=f"{TOO_FEW if v.too_few else STATUS[v.status]}: {session.name}",
         subtitle=f"Robot {session.serial or 'without serial'}, model {' + '.join(diagnosis.model.effects)}, "
         f"{len(session.poses)} poses, {len(diagnosis.comparison.rows)} samples",
         verdict=v.text,
@@ -91,8 +91,8 @@ def _hero(d: Diagnosis, session: Session, folder: Path) -> Figure:
         title = "Noise and what every robot has explain what the model leaves"
         rows += [("with what every robot has", d.cv_rms_after_m, d.cv_rms_se_after_m)]
     else:
-        enough = v.status == "adequate" and not v.too_few
-        title = "What the model leaves is what the noise explains" if enough else "Error and noise"
+        explained = v.status == "adequate" and not v.too_few
+        title = "What the model leaves is what the noise explains" if explained else "Error and noise"
     return Figure(models.gap(rows, floor, folder / "verdict.png", title), f"{title}. Estimator: {ESTIMATOR}.")
 
 

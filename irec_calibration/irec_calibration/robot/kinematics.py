@@ -88,3 +88,11 @@ class Kinematics:
         R_joint[:, joint] = R @ Rotation.from_rotvec(own * (turn @ own)).as_matrix()
         moved = replace(self, axis=axis, origin=origin, R_joint=R_joint, p_tcp=there(self.p_tcp), R_tool=E @ self.R_tool)
         return moved, there(p_in_base)
+
+
+def cross_matrices(v: Array) -> Array:
+    """Matrices with M w = v x w, (n, 3, 3)."""
+    out = np.zeros((len(v), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = v[:, 2], -v[:, 1], v[:, 0]
+    return out

@@ -39,11 +39,6 @@ def check_plausible(session: Session) -> Session:
     return replace(session, notes=(*session.notes, *notes)) if notes else session
 
 
-def doubts(session: Session) -> tuple[str, ...]:
-    """What speaks against a session, most basic first; empty where nothing does."""
-    return judged(session)[0]
-
-
 def judged(session: Session) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What speaks against a session, most basic first, and what is odd about it (notes)."""
     found, notes = list(_stated(session)), list(remarks(session))

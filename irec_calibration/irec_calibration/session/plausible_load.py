@@ -10,7 +10,20 @@ import numpy as np
 from ..robot.ratings import rated_torque
 from ..typing import Array, IntArray
 from .data import Session
-from .plausible_side import AXES, FITS, Fit, Pairs, across, against_stated, alterations, best_of, constant, least, pairs_of
+from .plausible_side import (
+    AXES,
+    FITS,
+    Fit,
+    Pairs,
+    across,
+    against_stated,
+    alterations,
+    best_of,
+    constant,
+    dead_channels,
+    least,
+    pairs_of,
+)
 
 FORCE_RATIO = 5.0  # between nominal and measured force of a load case
 COMPLIANCE_RATIO = 60.0  # between the deflection measured and that of drives which twist as drives do
@@ -118,7 +131,7 @@ def deflection(session: Session) -> tuple[list[str], list[str]]:
     seen = session.marker_seen
     rows = np.flatnonzero((session.load_case != 0) & seen & seen[reference])
     if len(rows) < 3:
-        return against_stated(session, None)
+        return _without_work(session)
     R = np.stack([s.R_in_base for s in session.stations])[session.station]
     off = np.einsum("nij,nj->ni", R, session.p_marker_in_station) - marker_as_believed(session)
     moved = off[rows] - off[reference[rows]]
@@ -128,7 +141,7 @@ def deflection(session: Session) -> tuple[list[str], list[str]]:
     size = float(np.median(np.linalg.norm(moved, axis=1)))
     floor = float(np.sqrt(6.0)) * session.noise.tracker_m
     if size < ABOVE_NOISE * floor:
-        return against_stated(session, None)
+        return _without_work(session)
     pairs = pairs_of(session, off, kin.R_tool)
     found, notes = _by_work(session, pairs, lambda f: _along(f[rows] - f[reference[rows]], moved))
     J = kin.jacobian(session.p_tcp_in_base)[rows]
@@ -160,8 +173,13 @@ def _by_work(session: Session, pairs: Pairs, fit: Fit) -> tuple[list[str], list[
             f"expected of springs: {_why_not_along(session, along, others)}"
         ], notes
     found, odd = across(session, pairs, fit)
-    dead = [d for d in stated if "dead" in d]
-    return dead or found or stated, [*notes, *odd]
+    return dead_channels(session) or found or stated, [*notes, *odd]
+
+
+def _without_work(session: Session) -> tuple[list[str], list[str]]:
+    """The same where no deflection says anything: doubts and notes."""
+    stated, notes = against_stated(session, None)
+    return [*dead_channels(session), *stated], notes
 
 
 def _at_rest(session: Session) -> str:

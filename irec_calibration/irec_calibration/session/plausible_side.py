@@ -217,10 +217,14 @@ class Stated:
 
     Attributes:
         slope: of the force over the nominal force of the load cases, (3,); NaN where these do not differ along an axis.
+        off: mean of the force over the load cases less slope times that of the nominal force, (3,), N; largest: of the nominal
+            forces along any axis, N.
         other: the axis that each axis of load_cases is measured by, (3,), and its slope; -1 where by none.
     """
 
     slope: Array
+    off: Array
+    largest: float
     other: tuple[tuple[int, float], ...]
 
 
@@ -233,30 +237,47 @@ def as_stated(session: Session) -> Stated | None:
     measured = np.array([np.median(session.force_in_tool[session.load_case == c], axis=0) for c in cases])
     n, m = nominal - nominal.mean(axis=0), measured - measured.mean(axis=0)
     spread = np.linalg.norm(n, axis=0)
-    judged = np.ptp(nominal, axis=0) > STATED_N * max(float(np.abs(nominal).max()), 1e-9)
+    largest = float(np.abs(nominal).max())
+    judged = np.ptp(nominal, axis=0) > STATED_N * max(largest, 1e-9)
     slopes = (m.T @ n) / np.maximum(spread**2, 1e-30)  # slopes[i, j]: force i over nominal force j
     other = []
     for j in range(3):
         i = int(np.abs(slopes[:, j]).argmax())
         other.append((i, float(slopes[i, j])) if judged[j] and i != j and abs(slopes[i, j]) > SLOPE else (-1, 0.0))
-    return Stated(np.where(judged, np.diag(slopes), np.nan), tuple(other))
+    slope = np.where(judged, np.diag(slopes), np.nan)
+    return Stated(slope, measured.mean(axis=0) - slope * nominal.mean(axis=0), largest, tuple(other))
+
+
+def dead_channels(session: Session) -> list[str]:
+    """Channels that stand still while load_cases differ along them."""
+    stated = as_stated(session)
+    if stated is None:
+        return []
+    values = {k: constant(session, k) for k in _contradicted(stated)}
+    return [
+        f"force_{AXES[k]} is exactly {value:g} N in every loaded row although load_cases differ along it: the channel is dead"
+        for k, value in values.items()
+        if value is not None
+    ]
+
+
+def _contradicted(stated: Stated) -> list[int]:
+    """Axes along which forces do not follow load_cases."""
+    return [int(k) for k in np.flatnonzero(np.nan_to_num(stated.slope, nan=1.0) < SLOPE)]
 
 
 def against_stated(session: Session, pairs: Pairs | None) -> tuple[list[str], list[str]]:
-    """What is wrong between force_* and load_cases, by axis: doubts, and notes where the robot gives way as force_* says."""
+    """What is wrong between force_* and load_cases, by axis, dead channels apart: doubts, and notes where the robot gives way as
+    force_* says."""
     stated = as_stated(session)
     if stated is None:
         return [], []
-    doubts: list[str] = []
     notes: list[str] = []
     said: list[str] = []
     works = None if pairs is None or not len(pairs.axis) else least(pairs, pairs.force_in_base)
-    for k in np.flatnonzero(np.nan_to_num(stated.slope, nan=1.0) < SLOPE):
-        name, value, (by, slope) = f"force_{AXES[k]}", constant(session, int(k)), stated.other[k]
-        if value is not None:
-            doubts.append(
-                f"{name} is exactly {value:g} N in every loaded row although load_cases differ along it: the channel is dead"
-            )
+    for k in _contradicted(stated):
+        name, (by, slope) = f"force_{AXES[k]}", stated.other[k]
+        if constant(session, k) is not None:
             continue
         if by < 0 and stated.slope[k] > -SLOPE:
             notes.append(f"{name} goes by {stated.slope[k]:.2f} times with the {AXES[k]} of load_cases, about 1 is expected")
@@ -264,13 +285,13 @@ def against_stated(session: Session, pairs: Pairs | None) -> tuple[list[str], li
         with_it = f", and force_{AXES[by]} by {slope:.2f} times" if by >= 0 else ""
         said.append(f"{name} goes by {stated.slope[k]:.2f} times with the {AXES[k]} of load_cases{with_it}")
     if not said:
-        return doubts, notes
+        return [], notes
     what = f"{', '.join(said)}; about 1 is expected"
     if works is None:  # no deflection says which of the two is right
-        return doubts, [*notes, f"{what}: signs or axes of force_*, or load cases exchanged?"]
+        return [], [*notes, f"{what}: signs or axes of force_*, or load cases exchanged?"]
     if works > AGREES:
-        return doubts, [*notes, f"{what}; the robot gives way as force_* says: are numbers or forces of load_cases exchanged?"]
-    return [*doubts, f"{what}: signs or axes of force_*, or load cases exchanged?"], notes
+        return [], [*notes, f"{what}; the robot gives way as force_* says: are numbers or forces of load_cases exchanged?"]
+    return [f"{what}: signs or axes of force_*, or load cases exchanged?"], notes
 
 
 def constant(session: Session, k: int) -> float | None:

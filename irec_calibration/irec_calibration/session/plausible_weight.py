@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.optimize import nnls
 
-from ..robot.kinematics import Kinematics
+from ..robot.kinematics import Kinematics, cross_matrices
 from ..robot.ratings import rated_torque, rating_known
 from ..typing import Array
 from .data import Session
@@ -150,9 +150,7 @@ def _geometry(kin: Kinematics, believed: Array) -> Array:
 def _places(placed: Session, kin: Kinematics, believed: Array) -> Array:
     """Columns of the marker, (n, 3, 6 per station and 3 per marker), for small turns and shifts of these."""
     out = []
-    x, y, z = believed.T
-    o = np.zeros_like(x)
-    turn = np.stack([np.stack([o, z, -y], axis=1), np.stack([-z, o, x], axis=1), np.stack([y, -x, o], axis=1)], axis=2)
+    turn = cross_matrices(believed)
     for s in range(len(placed.stations)):
         mine = (placed.station == s)[:, None, None]
         out += [turn * mine, np.broadcast_to(np.eye(3), turn.shape) * mine]

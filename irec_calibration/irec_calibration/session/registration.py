@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..robot import Kinematics
+from ..robot.kinematics import cross_matrices
 from ..typing import Array, IntArray
 from .data import Marker, Session, Station
 
@@ -187,7 +188,7 @@ def _refine(
             mine = data.station == i
             turned = data.v[mine] @ s[i].R_in_base.T
             J[mine, :, 6 * j : 6 * j + 3] = np.eye(3)
-            J[mine, :, 6 * j + 3 : 6 * j + 6] = _cross_matrices(-turned)
+            J[mine, :, 6 * j + 3 : 6 * j + 6] = cross_matrices(-turned)
         for j, i in enumerate(free_m):
             mine = data.marker == i
             at = 6 * len(free_s) + 3 * j
@@ -211,11 +212,3 @@ def _refine(
     # the median: rows that are no measurement must not choose between starts
     middle = float(np.median(np.linalg.norm(_residual(data, tuple(s), tuple(m)), axis=1)))
     return n * middle**2 + held * float((off() ** 2).sum()), tuple(s), tuple(m)
-
-
-def _cross_matrices(v: Array) -> Array:
-    """Matrices with M w = v x w, (n, 3, 3)."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = v[:, 2], -v[:, 1], v[:, 0]
-    return out

@@ -15,9 +15,7 @@ LATEST_BEGIN = 3600.0  # s; stamps that begin later are not counted from the beg
 LONGEST_ROW = 1800.0  # s; usual (median) time from one row to the next
 LONGEST_GAP = 365 * 86400.0  # s; pauses overnight and over a shutdown are usual
 FEWEST = 6  # rows by which an order is told
-MOST_RESTARTS = (
-    5  # jumps back in a file that is in the order of measurement; one that is sorted has one at each pose or load case
-)
+MOST_RESTARTS = 5  # jumps back in a file in the order of measurement; one that is sorted has one at each pose or load case
 
 
 def trusted(

@@ -12,25 +12,19 @@ import absolute_sessions
 import numpy as np
 import pytest
 import synthetic
-from irec_calibration.diagnose import Diagnosis, add_effect, diagnose, improve, remove_effect, solved, start_terms, validated
+from irec_calibration.diagnose import Diagnosis, diagnose, improve, start_terms
 from irec_calibration.diagnose.assessment import assess
-from irec_calibration.diagnose.attempt import attempt
 from irec_calibration.diagnose.build import Built, build
 from irec_calibration.diagnose.evidence import Block
-from irec_calibration.diagnose.held_out import fitted_truly, held_out
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.diagnose.tool_weight import reference_readings
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
-from irec_calibration.errors import Cancelled, EffectError, ModelError, SolveError
-from irec_calibration.identification.identify import identify
-from irec_calibration.identification.provenance import model_of
+from irec_calibration.errors import Cancelled
 from irec_calibration.identification.settings import ABSOLUTE, IDENTIFIABILITY, OUTLIERS
-from irec_calibration.model import EIGHTEEN_DOF, Model, blank_model
-from irec_calibration.model.file import load_model, save_model
-from irec_calibration.report.next_steps import after_diagnosis
+from irec_calibration.model import EIGHTEEN_DOF
 from irec_calibration.session import Noise, Session
 from numpy.typing import NDArray
 
@@ -124,11 +118,6 @@ def diagnosis(hidden: Callable[[Scene], Array] | None = None) -> Diagnosis:
 @cache
 def study() -> Study:
     return prepare(session(play_of_axis_4), start_terms(session()))
-
-
-@cache
-def model() -> Model:
-    return model_of(identify(session(play_of_axis_4), blank_model(EIGHTEEN_DOF)))
 
 
 def test_a_session_that_the_model_explains_is_adequate() -> None:
@@ -329,39 +318,6 @@ def test_a_constant_bias_of_the_force_sensor_is_not_called_a_tool_weight() -> No
     assert readings.log_evidence < 5.0
 
 
-@pytest.mark.parametrize("poses", [1, 2])
-def test_a_session_of_few_poses_says_so_and_names_nothing(poses: int) -> None:
-    found = diagnose(session(play_of_axis_4).select_poses(list(range(1, poses + 1))))
-    assert found.verdict.effects == ()
-    assert found.verdict.in_short == "too few data to judge"
-    assert "Measure more poses" in found.verdict.text
-    assert "Nothing shows" not in found.verdict.text
-    assert "irec plan" in after_diagnosis(found, "SESSION")[0][1]
-    json.dumps(found.to_json(), allow_nan=False)
-
-
-def test_a_model_that_leaves_far_more_than_its_linear_problem_promises_is_no_result() -> None:
-    made = validated(session(), start_terms(session()))
-    assert fitted_truly(made) is made
-    spoiled = replace(made, study=replace(made.study, fit=replace(made.study.fit, rms=20.0 * made.held_out.rms_m)))
-    with pytest.raises(SolveError, match="could not be fitted.*check masses"):
-        fitted_truly(spoiled)
-
-
-@pytest.mark.parametrize(("poses", "words"), [(2, "measure more"), (None, None)])
-def test_a_model_of_few_poses_carries_a_caution(poses: int | None, words: str | None) -> None:
-    whole = session()
-    model, _ = solved(whole if poses is None else whole.select_poses(list(range(1, poses + 1))), start_terms(whole))
-    assert ("caution" in model.made) == (words is not None)
-    assert words is None or words in model.made["caution"]
-
-
-def test_a_model_that_leaves_much_of_the_deflection_carries_a_caution() -> None:
-    whole = session()
-    model, _ = solved(replace(whole, force_in_tool=whole.force_in_tool * [-1.0, -1.0, 1.0]), start_terms(whole))
-    assert "of a deflection of" in model.made["caution"]
-
-
 @pytest.mark.slow
 def test_missing_temperatures_and_a_constant_clock_are_skipped_with_a_reason() -> None:
     few = session(play_of_axis_4).select_poses(list(range(1, 9)))
@@ -391,66 +347,6 @@ def test_evidence_punishes_columns_that_only_fit_noise() -> None:
     free = np.full(20, np.inf)
     idle = Block(rng.normal(size=(len(s.bench.b), 20)), -free, free, np.ones(20))
     assert s.bench.posterior(s.base + idle).log_evidence < s.bench.posterior(s.base).log_evidence - 10.0
-
-
-def test_improve_adds_what_is_missing_and_stops() -> None:
-    ladder = improve(session(play_of_axis_4))
-    assert [r.added for r in ladder.rungs if r.added != "bending_place"] == ["", "joint_backlash"]
-    assert ladder.rungs[-1].cv_rms_m < 0.7 * ladder.rungs[0].cv_rms_m
-    assert [h["change"] for h in ladder.model.history] == ["start", *(f"added {r.added}" for r in ladder.rungs[1:])]
-
-
-@pytest.mark.slow
-def test_the_place_of_bending_that_a_missing_effect_hid_is_found_beside_it() -> None:
-    place = find_effect("bending_place")
-
-    def hidden(scene: Scene) -> Array:
-        off = [1.2 * p.scale * (-1) ** (i + 1) for i, p in enumerate(place.parameters(scene))]
-        angle = np.zeros_like(scene.tau)
-        angle[:, 3] = 1e-3 * np.tanh((scene.tau[:, 3] + scene.tau_gravity[:, 3]) / 4.0)
-        return turned(scene, angle) + place.displacement(scene, np.array(off))
-
-    found = improve(synthetic.session(poses=20, seed=5, extra=hidden))
-    assert [r.added for r in found.rungs] == ["", "joint_backlash", "bending_place"]
-    assert found.rungs[2].cv_rms_m < found.rungs[1].cv_rms_m
-    assert found.rungs[2].parts == found.rungs[1].parts
-    assert found.before.cv_rms_after_m == found.rungs[2].cv_rms_m
-    assert "Beside that the springs' place of bending matters" in found.before.verdict.text
-
-
-def test_the_place_of_bending_is_added_and_tried_like_any_effect() -> None:
-    place = find_effect("bending_place")
-
-    def hidden(scene: Scene) -> Array:
-        return place.displacement(scene, np.array([6.0 * p.scale * (-1) ** i for i, p in enumerate(place.parameters(scene))]))
-
-    bent = synthetic.session(poses=20, seed=5, extra=hidden)
-    new, before, after = add_effect(model(), place, bent)
-    assert new.effects == (*EIGHTEEN_DOF, "bending_place")
-    assert held_out(after).rms_m < 0.8 * held_out(before).rms_m
-    tried = attempt(before, place)
-    assert tried.after.rms_m < 0.8 * tried.before.rms_m
-
-
-def test_a_model_with_a_part_of_an_effect_survives_its_file_and_a_refit(tmp_path) -> None:
-    new, _, _ = add_effect(model(), find_effect("joint_backlash"), session(play_of_axis_4))
-    again = load_model(save_model(new, tmp_path / "m.yaml"))
-    assert tuple(again.terms[-1].estimates) == ("b_4", "w", "uneven")
-    assert held_out(prepare(session(play_of_axis_4), again.terms)).rms_m == pytest.approx(new.figures["cv_rms_m"], rel=1e-3)
-
-
-def test_removing_an_effect_brings_the_error_back() -> None:
-    new, _, after = add_effect(model(), find_effect("joint_backlash"), session(play_of_axis_4))
-    plain, without = remove_effect(new, "joint_backlash", session(play_of_axis_4))
-    assert plain.effects == EIGHTEEN_DOF
-    assert held_out(without).rms_m > 1.5 * held_out(after).rms_m
-
-
-def test_effects_that_the_model_has_or_the_session_cannot_show_are_refused() -> None:
-    with pytest.raises(ModelError, match="already"):
-        add_effect(model(), find_effect("link_bending"), session(play_of_axis_4))
-    with pytest.raises(EffectError, match="no external axis"):
-        add_effect(model(), find_effect("rail_compliance"), session(play_of_axis_4))
 
 
 def test_no_measurement_is_proposed_where_nothing_is_in_question() -> None:

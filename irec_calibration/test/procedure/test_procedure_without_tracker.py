@@ -22,7 +22,7 @@ from irec_calibration.procedure.recorder import SessionRecorder, session_header
 from irec_calibration.procedure.settings import read_settings
 from irec_calibration.procedure.standstill import Streams, Window
 from irec_calibration.session import read_session, record_message, write_table
-from irec_calibration.session.plausible import doubts
+from irec_calibration.session.plausible import judged
 
 AFP = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
 STILL = settings().settling
@@ -240,7 +240,7 @@ def recorded(path: Path, cell: Cell, marker: float = np.nan, resume: bool = Fals
 def test_a_session_of_it_has_empty_marker_columns_and_no_station_in_either_form(cell: Cell, tmp_path: Path) -> None:
     recorded(tmp_path / "s.mcap", cell)
     session = read_session(tmp_path / "s.mcap")
-    assert not session.marker_seen.any() and not doubts(session)
+    assert not session.marker_seen.any() and not judged(session)[0]
     assert "recorded without a tracker: the marker columns are empty" in session.notes
     folder = write_table(session, tmp_path / "table")
     names, first, *_ = [line.split(",") for line in (folder / "samples.csv").read_text().splitlines()]
@@ -254,7 +254,7 @@ def test_a_session_of_it_has_empty_marker_columns_and_no_station_in_either_form(
 
 def test_marker_columns_that_are_filled_all_the_same_are_a_doubt(cell: Cell, tmp_path: Path) -> None:
     recorded(tmp_path / "s.mcap", cell, marker=1.0)
-    found = doubts(read_session(tmp_path / "s.mcap"))
+    found, _ = judged(read_session(tmp_path / "s.mcap"))
     assert any("without_tracker says that no tracker measured, marker_* has values in 6 rows" in d for d in found)
 
 

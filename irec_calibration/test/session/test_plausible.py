@@ -13,11 +13,15 @@ from irec_calibration.cli import main
 from irec_calibration.errors import ImplausibleSession
 from irec_calibration.robot import Payload
 from irec_calibration.session import Marker, Noise, Session, write_table
-from irec_calibration.session.plausible import check_plausible, doubts
+from irec_calibration.session.plausible import check_plausible, judged
 from scipy.spatial.transform import Rotation
 
 LOADED = synthetic.session(seed=1)
 ABSOLUTE = absolute_sessions.session(noise=Noise(tracker_m=1e-5), poses=60)
+
+
+def doubts(session: Session) -> tuple[str, ...]:
+    return judged(session)[0]
 
 
 def columns(array: np.ndarray, order: list[int]) -> np.ndarray:
