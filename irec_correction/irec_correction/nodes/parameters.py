@@ -84,7 +84,7 @@ CORRECTION = (
     P("watch.torque_jump", 100.0, "between two samples", 0.1, 1e5, unit="N m"),
     P("watch.jump_samples", 3, "samples after which a jump that stays is believed", 2, 1000),
     P("watch.joint_speed_factor", 1.5, "times the velocity limit: a faster joint is not believed", 1.0, 100.0),
-    P("watch.joint_jump", 0.01, "allowed on top of that; for the rail m", 0.0, 1.0, unit="rad"),
+    P("watch.joint_jump", 0.01, "allowed on top of that (of the rail: m)", 0.0, 1.0, unit="rad"),
     P("watch.rail_speed", 5.0, "fastest the rail can be: a faster one is not believed", 1e-3, 20.0, unit="m/s"),
     P("watch.rail_margin", 0.1, "margin beyond the range of the rail in the cell file", 0.0, 10.0, unit="m"),
     P("watch.clock_tolerance", 0.5, "largest distance of a stamp from now", 0.001, 60.0, unit="s"),
