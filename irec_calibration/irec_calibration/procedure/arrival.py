@@ -146,8 +146,19 @@ def out_of_contact(p: Procedure) -> bool:
     return True
 
 
-def _judge_unloaded(p: Procedure, off: Array, silent: bool) -> None:
-    """The force out of contact against that of before contact; `off` (3,), N, between them. Where the robot is was checked."""
+def _judge_unloaded(p: Procedure, beside: Array, silent: bool) -> None:
+    """The force out of contact against that of before contact. Where the robot is was checked.
+
+    At the reference the tool may have touched the tooling a little, so that it is also that of free air, and after the retract
+    that alone.
+
+    Args:
+        beside: force less what was read unloaded at this pose, (3,), N.
+    """
+    read = beside + p.force_unloaded
+    known = [p.force_in_air] if p.state == "retract" else [p.force_unloaded, p.force_in_air]
+    before = min(known, key=lambda force: float(np.linalg.norm(read - force)))
+    off = read - before
     size = float(np.linalg.norm(off))
     if p.state == "withdraw":
         if size > touch_limit(p):
@@ -161,13 +172,13 @@ def _judge_unloaded(p: Procedure, off: Array, silent: bool) -> None:
     problem = ""
     if size > unloaded_limit(p) and p.reference is not None:
         problem = (
-            f"after the retract the wrench reads {newtons(off + p.force_unloaded)} N, {newtons(p.force_unloaded)} N before"
+            f"after the retract the wrench reads {newtons(read)} N, {newtons(before)} N before"
             f" contact: {size:.0f} N apart, limit {unloaded_limit(p):.0f} N (procedure.checks.unloaded_n): the sensor's bias"
             " has changed under load (set anew, drift, overload), and the load cases of this pose are not what was read"
         )
         p.discard(problem)
     if size > touch_limit(p):
-        p.stop(problem or f"out of contact the wrench reads {newtons(off + p.force_unloaded)} N, limit {touch_limit(p):.0f} N")
+        p.stop(problem or f"out of contact the wrench reads {newtons(read)} N, limit {touch_limit(p):.0f} N")
     if not silent and not problem and (problem := free_way_problem(p)):
         p.discard(problem)
         p.stop(problem)

@@ -87,7 +87,7 @@ def move_to_reference(p: Procedure) -> None:
         p.stop(problem)
         return
     read = p.streams.mean_force(-np.inf, AIR_WINDOW)
-    p.force_unloaded = np.zeros(3) if read is None else read
+    p.force_in_air = p.force_unloaded = np.zeros(3) if read is None else read
     p.move(MoveLinear(target.p_reference, target.R_tool_in_base, p.settings.linear_speed))
 
 
@@ -138,7 +138,7 @@ def record_and_switch(p: Procedure) -> None:
 
 def _refuse_reference(p: Procedure, read: Array, limit: float) -> None:
     """A force at the reference is contact made too early, or bias or weight that was not removed: that reads in free air too."""
-    in_air = p.force_unloaded
+    in_air = p.force_in_air
     if float(np.linalg.norm(in_air)) <= limit:
         p.skip(
             f"the tool touches the tooling at the reference already: the wrench reads {np.round(read).tolist()} N, limit"

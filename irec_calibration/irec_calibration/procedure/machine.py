@@ -91,6 +91,7 @@ class Procedure:
         self.case = 0  # which of `order` is under way, from 1
         self.setpoint = np.zeros(3)
         self.force_before: Array | None = None  # mean force when the set point was changed
+        self.force_in_air = np.zeros(3)  # read at the approach of the pose under way, (3,), N
         self.force_unloaded = np.zeros(3)  # read at the approach of the pose under way, then at its reference, (3,), N
         self.force_at_move = np.zeros(3)  # when the move under way was asked for, (3,), N; NaN: not known
         self.p_contact: Array | None = None  # TCP by the controller when contact was made at it, m in base_link

@@ -194,6 +194,15 @@ def test_a_pose_counts_only_where_the_force_comes_back_to_that_of_before_contact
     assert bool(robot.procedure.stopped_because) == ends and not robot.procedure.counts.complete
 
 
+def test_a_tool_that_touches_a_little_at_the_reference_already_is_no_change_of_the_bias() -> None:
+    robot = FakeRobot(2).start().run(stop_when="reference")
+    robot.extra_force = np.array([0.0, 0.0, -70.0])
+    robot.run(stop_when="contact")
+    robot.extra_force = np.zeros(3)  # what is read at the set point is that, and off the surface it is nothing
+    robot.run()
+    assert robot.procedure.counts.complete == 2 and not [e for e in robot.events if e.kind == "discarded"]
+
+
 def test_the_limit_of_the_unloaded_force_is_a_setting() -> None:
     robot = FakeRobot(1, settings={"checks": Checks(unloaded_n=120.0)}).start().run(stop_when="lift")
     robot.extra_force = np.array([0.0, 0.0, 80.0])
