@@ -16,6 +16,7 @@ from ..report import course
 from ..report.course import course_section, drive
 from ..report.ladder import write_ladder_report
 from ..report.next_steps import after_improvement, in_lines
+from ._expected_error import expected_in_words
 from ._progress import Progress
 from ._report import report
 from ._session import as_read, configure_plausible, configure_without_tracker, plausible_session, starting_model
@@ -69,5 +70,8 @@ def in_words(ladder: Ladder) -> str:
     if any(r.stands_in for r in ladder.rungs):
         lines.append("(no name): predicts structure that no effect can be named for; it is no diagnosis")
     lines.append(f"stopped: {ladder.stopped}")
+    lines += expected_in_words(ladder.model)
+    if ladder.model.made.get("caution"):
+        lines.append(textwrap.fill(f"caution: {ladder.model.made['caution']}", 100, subsequent_indent="  "))
     lines.append(textwrap.fill(f"estimator: {ESTIMATOR}", 100, subsequent_indent="  "))
     return "\n".join(lines)

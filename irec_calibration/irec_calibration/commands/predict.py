@@ -13,6 +13,7 @@ import numpy as np
 from ..effects.of_session import scene_of
 from ..model.file import check_belongs, load_model
 from ..session import read_session
+from ._expected_error import expected_in_words
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -42,4 +43,7 @@ def run(args: argparse.Namespace) -> int:
     print(json.dumps(summary) if args.json else
           f"{len(rows)} rows, deflection mean {1e3 * size.mean():.3f} mm, max {1e3 * size.max():.3f} mm; "
           f"wrote {path}")  # fmt: skip
+    if not args.json:
+        for line in expected_in_words(model):
+            print(line)
     return 0

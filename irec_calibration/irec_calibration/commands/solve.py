@@ -11,6 +11,7 @@ from ..diagnose import solved
 from ..identification.identify import default_terms, with_disc
 from ..model import EIGHTEEN_DOF, SIX_DOF, Model, blank_model
 from ..model.file import save_model
+from ._expected_error import expected_in_words
 from ._session import as_read, configure_plausible, configure_without_tracker, plausible_session
 
 
@@ -62,6 +63,7 @@ def describe(model: Model) -> str:
         f" (held-out poses {1e6 * f['cv_rms_m']:.1f} um), noise {1e6 * f['noise_floor_m']:.1f} um"
     )
     lines.append(f"mean error {1e3 * f['fit_mean_m']:.4f} mm, on held-out poses {1e3 * f['cv_mean_m']:.4f} mm")
+    lines += expected_in_words(model)
     lines.append(textwrap.fill(f"estimator: {f['estimator']}", 100, subsequent_indent="  "))
     lines += [textwrap.fill(f"known as a sum: {c}", 100, subsequent_indent="  ") for c in model.combinations]
     if "held_at_zero" in model.made:

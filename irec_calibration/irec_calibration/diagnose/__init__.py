@@ -6,6 +6,7 @@
 
 from .attempt import Attempt, added, attempt
 from .comparison import compare, compare_observed
+from .expected_error import ExpectedError, with_error
 from .held_out import Validated, held_out, held_out_beside, solved, validated
 from .improve import Ladder, Rung, add_effect, improve, remove_effect, versioned
 from .result import Candidate, Comparison, Diagnosis, Measurement, Verdict, View, finite, write_json
@@ -13,7 +14,8 @@ from .run import diagnose, start_terms
 from .study import Study, prepare
 
 __all__ = [
-    "Attempt", "Candidate", "Comparison", "Diagnosis", "Ladder", "Measurement", "Rung", "Study", "Validated", "Verdict", "View",
+    "Attempt", "Candidate", "Comparison", "Diagnosis", "ExpectedError", "Ladder", "Measurement", "Rung", "Study", "Validated",
+    "Verdict", "View",
     "add_effect", "added", "attempt", "compare", "compare_observed", "diagnose", "finite", "held_out", "held_out_beside",
-    "improve", "prepare", "remove_effect", "solved", "start_terms", "validated", "versioned", "write_json",
+    "improve", "prepare", "remove_effect", "solved", "start_terms", "validated", "versioned", "with_error", "write_json",
 ]  # fmt: skip

@@ -12,6 +12,7 @@ from ..model import Estimate, Model, Term
 from ..session.data import Session
 from ..typing import Array
 from .candidates import Trial, try_effect
+from .expected_error import with_error
 from .held_out import held_out, validated
 from .improve import add_effect, versioned
 from .parts import prune
@@ -74,4 +75,5 @@ def added(session: Session, study: Study, parent: Model, effect: Effect, tried: 
         raise EffectError(f"'{effect.id}' could not be fitted together with {', '.join(parent.effects)}")
     pruned = prune(found, (effect.id,))
     made = validated(session, pruned.study.terms)
-    return versioned(made, parent, f"added {effect.id}", pruned.parts), study, made.study
+    new = versioned(made, parent, f"added {effect.id}", pruned.parts)
+    return with_error(new, made.expected_error), study, made.study

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from ..model import Model, Term
 from ..session.data import Session
 from .apart import set_apart
 from .evidence import Block
+from .expected_error import ExpectedError, expected_error, with_error
 from .remainder import Remainder
 from .study import Study, prepare, study_of
 
@@ -29,6 +31,11 @@ class Validated:
 
     study: Study
     held_out: HeldOut
+
+    @cached_property
+    def expected_error(self) -> ExpectedError | None:
+        """Of its predictions; None where the session does not tell."""
+        return expected_error(self.study, self.held_out)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -106,4 +113,4 @@ def solved(session: Session, terms: Sequence[Term]) -> tuple[Model, tuple[str, .
     whole = observe_with_force_noise(session, terms) if session.kind == "absolute" else study.observation
     if len(whole.rows) != len(study.observation.rows):  # models are compared on fewer poses than there are
         result = fit(study.terms, set_apart(whole, study.apart), prior_width=study.base.width)
-    return model_of(result, held_out=made.held_out), made.notes
+    return with_error(model_of(result, held_out=made.held_out), made.expected_error), made.notes

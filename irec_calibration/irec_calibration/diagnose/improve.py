@@ -17,6 +17,7 @@ from ..session.data import Session
 from ..typing import Json
 from .assessment import Assessment
 from .candidates import try_effect
+from .expected_error import with_error
 from .held_out import Validated, validated
 from .part_sets import Parts
 from .parts import parts_json, prune
@@ -161,6 +162,7 @@ def improve(
         rungs.append(_rung(shown.after, "+".join(shown.form), shown.form_evidence, rungs[-1].model, assessment.parts))
     for extra in shown.stand_ins:
         rungs.append(replace(_rung(extra.model, extra.effect.id, extra.evidence, rungs[-1].model), named=False))
+    rungs[-1] = replace(rungs[-1], model=with_error(rungs[-1].model, shown.best.expected_error))
     readings = assessment.readings
     if assessment.weight_wrong and readings is not None and READ_AT_REFERENCES.id not in rungs[-1].effects:
         term = next(c.term for c in before.candidates if c.effect == READ_AT_REFERENCES.id)
@@ -244,7 +246,8 @@ def add_effect(model: Model, effect: Effect, session: Session) -> tuple[Model, S
         raise EffectError(f"effect '{effect.id}' could not be fitted to {session.name} together with {', '.join(model.effects)}")
     pruned = prune(found, (effect.id,))
     made = validated(session, pruned.study.terms)
-    return versioned(made, model, f"added {effect.id}", pruned.parts), before.study, made.study
+    new = with_error(versioned(made, model, f"added {effect.id}", pruned.parts), made.expected_error)
+    return new, before.study, made.study
 
 
 def _with_weight(model: Model, effect: Effect, before: Validated) -> tuple[Model, Study, Study]:
@@ -253,7 +256,7 @@ def _with_weight(model: Model, effect: Effect, before: Validated) -> tuple[Model
     if readings is None:
         raise EffectError(f"effect '{effect.id}' needs force readings at the references of a loaded session")
     term = Term(effect, {"dm": Estimate(readings.mass, readings.mass_se, "kg", -500.0, 500.0)})
-    new = versioned(before, model, f"added {effect.id}")
+    new = with_error(versioned(before, model, f"added {effect.id}"), before.expected_error)
     return replace(new, terms=(*new.terms, term)), before.study, before.study
 
 
@@ -269,7 +272,7 @@ def remove_effect(model: Model, effect_id: str, session: Session) -> tuple[Model
     if not rest:
         raise ModelError(f"'{effect_id}' is the model's only effect: nothing would be left")
     made = validated(session, rest)
-    return versioned(made, model, f"removed {effect_id}"), made.study
+    return with_error(versioned(made, model, f"removed {effect_id}"), made.expected_error), made.study
 
 
 def remaining(terms: Sequence[Term], effect_id: str) -> tuple[Term, ...]:

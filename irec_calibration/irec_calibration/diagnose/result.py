@@ -14,6 +14,7 @@ from ..identification.noise import InferredNoise
 from ..identification.validation import ESTIMATOR
 from ..model import Model, Term
 from ..typing import Array, IntArray, Json
+from .expected_error import ExpectedError
 from .part_sets import Parts
 from .parts import parts_json
 from .proposals import Proposal
@@ -169,6 +170,7 @@ class Diagnosis:
             error, by ESTIMATOR.
         cv_rms_after_m, cv_rms_se_after_m: with every effect that was added, and its standard error.
         proposals: formulas for what has structure and no name, best first.
+        expected_error: of predictions with every effect that was added; None where the session does not tell.
     """
 
     session: str
@@ -189,6 +191,7 @@ class Diagnosis:
     bad_rows: tuple[Json, ...] = ()
     proposals: tuple[Proposal, ...] = ()
     cv_rms_se_m: float = math.nan
+    expected_error: ExpectedError | None = None
 
     def to_json(self) -> Json:
         """The content of `diagnosis.json`; no NaN."""
@@ -208,6 +211,7 @@ class Diagnosis:
             "repeat_floor_m": self.comparison.repeat_floor_m,
             "explainable_m": self.comparison.explainable_m,
             "flexible_gain_m": self.flexible_gain_m,
+            **({} if self.expected_error is None else {"improved": self.expected_error.figures}),
             "verdict": {
                 "status": v.status,
                 "effects": list(v.effects),

@@ -136,6 +136,7 @@ def examine(
         noise=assessment.noise,
         bad_rows=rows_json(session, bad, aside),
         proposals=proposed,
+        expected_error=shown.best.expected_error,
     )
     say(1.0, "done")
     return result, assessment, shown

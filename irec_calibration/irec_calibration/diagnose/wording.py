@@ -14,6 +14,7 @@ from ..identification.provenance import too_few
 from ..lengths import length
 from ..typing import Json
 from .assessment import Assessment
+from .expected_error import ExpectedError
 from .explanation import implausible
 from .part_sets import Parts
 from .result import Candidate, Comparison, Measurement, Verdict
@@ -99,6 +100,8 @@ def verdict_of(
     parts += _rivals_apart(assessment, planned)
     if assessment.status == "missing_effect":
         parts += _apart(assessment, planned)
+    if shown.best.expected_error is not None and not few:
+        parts += _expected(shown.best.expected_error)
     if few:
         cases = len(np.unique(study.session.load_case[study.observation.rows]))
         parts.append(
@@ -121,6 +124,12 @@ def verdict_of(
         too_few=few and assessment.status == "adequate",
         parts={i: p for i, p in assessment.parts.items() if i in assessment.names},
     )
+
+
+def _expected(error: ExpectedError) -> list[str]:
+    """How far the improved model is to be trusted in production."""
+    out = [f"At poses and forces like these the TCP is expected to be predicted to {length(error.at_tcp_m)}."]
+    return [*out, f"Caution: {error.caution}."] if error.caution else out
 
 
 def _size(assessment: Assessment, shown: Shown) -> float:

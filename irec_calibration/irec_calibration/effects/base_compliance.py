@@ -10,7 +10,7 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
-from .scales import TWIST_UNDER_OWN_WEIGHT, USUAL_SHARE
+from .scales import TWIST_UNDER_OWN_WEIGHT, USUAL_SHARE, typical_give
 from .scene import Scene
 from .traits import Ageing, Family
 
@@ -18,6 +18,7 @@ AXES = ("x", "y", "z")
 # Of a base that has come loose, which a check over the years must find: 8 % of the deflection of a 120 kg robot on its rail.
 LOOSE_TRANSLATION, LOOSE_ROTATION = 3.0e-9, 3.0e-8  # m/N, rad/(N m)
 ROTATION, SOFTEST_ROTATION = 2e-8, 2e-6  # rad/(N m); of the base of a heavy robot, and the largest that is physically likely
+SOFTEST_TRANSLATION = 1e-6  # m/N; of the base of a heavy robot; where the typical arm is softer, as soft as that
 TILT_UNDER_OWN_WEIGHT = 2e-4  # rad; ROTATION under the 10 kN m of a heavy robot with its payload
 # What gives way under a force at a height h tilts too: a pedestal by 3 / h^2 of it per N m, a plate on mounts by more. With the
 # TCP a metre or two above and beside the base the tilt is the larger part; a base slides without tilting only where it is loose.
@@ -71,8 +72,9 @@ class BaseCompliance(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale, limit = _rotation(scene)
+        most = max(SOFTEST_TRANSLATION, typical_give(scene.robot))
         return (
-            *(Parameter(f"t_{a}", "m/N", 1e-8, lower=0.0, plausible=(0.0, 1e-6), group="translation") for a in AXES),
+            *(Parameter(f"t_{a}", "m/N", 1e-8, lower=0.0, plausible=(0.0, most), group="translation") for a in AXES),
             *(Parameter(f"r_{a}", "rad/(N m)", scale, lower=0.0, plausible=(0.0, limit), group="rotation") for a in AXES),
             Parameter("r_xy", "rad/(N m)", scale, plausible=(-limit, limit), group="rotation"),
         )

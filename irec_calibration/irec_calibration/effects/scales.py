@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ..robot import Robot
@@ -17,6 +19,7 @@ LAG = 3e-3  # rad; friction of a sound gear and servo
 LAG_OVER_REPEATABILITY = 5.0  # what the side from which a joint came moves the tool by, over one standard deviation of the rest
 USUAL_SHARE = 0.03  # of the deflection, RMS; chosen: the most that tools and floors without any cause were found to give way by
 COUNTS = 0.1  # of the largest size of a law in any axis: less says nothing of what it is
+POSTURES = 100
 NEAR = 1.5  # times the range over which a law of torque bends: tanh is at 0.9 there
 
 
@@ -52,6 +55,17 @@ def largest_lag(scene: Scene) -> Array:
 def typical_reach(scene: Scene) -> float:
     """Distance of the TCP from base_link, m."""
     return float(max(np.linalg.norm(scene.p_tcp, axis=1).max(), 0.1))
+
+
+@lru_cache(maxsize=16)
+def typical_give(robot: Robot) -> float:
+    """How far the TCP moves per force, m/N, where every joint has its typical compliance, over random postures.
+
+    What carries a light arm, or is carried by it, gives way as the arm does.
+    """
+    q = np.random.default_rng(0).uniform(-np.pi / 2, np.pi / 2, (POSTURES, robot.n_joints))
+    kin = robot.kinematics(q)
+    return float(((kin.jacobian(kin.p_tcp) ** 2).sum(axis=1) @ typical_compliance(robot)).mean())
 
 
 def may_be_wide(scene: Scene, axes: IntArray, size: Array, soft: Array, share: float) -> BoolArray:

@@ -10,11 +10,13 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
-from .scales import STIFFER_THAN, USUAL_SHARE, typical_compliance
+from .scales import STIFFER_THAN, USUAL_SHARE, typical_compliance, typical_give
 from .scene import Scene
 from .traits import Family
 
 AXES = ("x", "y", "z")
+SOFTEST = 5e-6  # m/N, that is physically likely of the tool of a heavy robot
+OVER_ARM = 3.0  # times the typical arm: a softer tool could not be guided
 PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
@@ -33,8 +35,10 @@ class ToolCompliance(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale = 1e-7
-        straight = [Parameter(f"c_{a}", "m/N", scale, lower=0.0, plausible=(0.0, 5e-6), group="straight") for a in AXES]
-        cross = [Parameter(f"c_{AXES[i]}{AXES[j]}", "m/N", 0.3 * scale, plausible=(-2e-6, 2e-6), group="cross") for i, j in PAIRS]
+        most = max(SOFTEST, OVER_ARM * typical_give(scene.robot))
+        straight = [Parameter(f"c_{a}", "m/N", scale, lower=0.0, plausible=(0.0, most), group="straight") for a in AXES]
+        across = (-0.4 * most, 0.4 * most)
+        cross = [Parameter(f"c_{AXES[i]}{AXES[j]}", "m/N", 0.3 * scale, plausible=across, group="cross") for i, j in PAIRS]
         stiff = typical_compliance(scene.robot)[np.flatnonzero(scene.driven)[-1]]
         limit = STIFFER_THAN * stiff
         turning = [Parameter(f"r_{a}", "rad/(N m)", stiff, lower=0.0, plausible=(0.0, limit), group="turning") for a in AXES]

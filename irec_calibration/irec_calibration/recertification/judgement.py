@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..diagnose.held_out import validated
+from ..diagnose import validated, with_error
 from ..identification.identify import fit, identify, observe_with_force_noise
 from ..identification.observe import Observation
 from ..identification.provenance import model_of
@@ -136,8 +136,9 @@ def judge(
     rows = np.isin(observation.pose, held_out)
     rms_new = rms(residual_of(trained, observation)[rows])
     rms_old = float("nan") if in_force is None else rms(residual_of(in_force, observation)[rows])
-    held_one_by_one = validated(session, trained.terms).held_out  # as in the file of any other model
-    model = model_of(fit(trained.terms, observation), held_out=held_one_by_one, parent=_parent(in_force))
+    one_by_one = validated(session, trained.terms)  # as in the file of any other model
+    model = model_of(fit(trained.terms, observation), held_out=one_by_one.held_out, parent=_parent(in_force))
+    model = with_error(model, one_by_one.expected_error)
     floor = observation.whiten.floor
     change = None
     if in_force is not None and before is not None:

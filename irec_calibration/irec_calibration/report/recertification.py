@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..effects import known_effects
+from ..model import Model
 from ..recertification.flow import Outcome
 from ..recertification.quick_check import odds_text
 from ..recertification.readings import MANNED
@@ -135,6 +136,7 @@ def _full_rows(outcome: Outcome, tolerance: float) -> list[tuple[str, str]]:
         ("Full procedure", f"{j.model.figures.get('poses', '?')} poses; {len(j.held_out)} of them were kept apart to judge"),
         ("Error of the former calibration", _error(j.rms_old, tolerance)),
         ("Error of the new calibration", f"{_error(j.rms_new, tolerance)}, on the poses kept apart"),
+        *_expected(j.model),
         ("What is asked of it", "\n".join(f"{c.text}: {'met' if c.holds else 'NOT met'}" for c in j.criteria)),
         ("What it describes", ", ".join(f"{t.effect.label} ({t.effect.id})" for t in j.model.terms)),
     ]
@@ -147,6 +149,14 @@ def _full_rows(outcome: Outcome, tolerance: float) -> list[tuple[str, str]]:
     if outcome.calibration:
         rows.append(("Stored as", outcome.calibration + (", now in force" if outcome.activated else ", not in force")))
     return rows
+
+
+def _expected(model: Model) -> list[tuple[str, str]]:
+    error = model.figures.get("expected_error_m")
+    if not isinstance(error, float):
+        return []
+    caution = model.made.get("caution")
+    return [("Error to be expected at the TCP", f"{_mm(error)}{f'; caution: {caution}' if caution else ''}")]
 
 
 def _to_be_looked_at(outcome: Outcome) -> bool:

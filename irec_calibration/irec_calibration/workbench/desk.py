@@ -27,6 +27,7 @@ from ..diagnose import (
     start_terms,
     validated,
     versioned,
+    with_error,
     write_json,
 )  # fmt: skip
 from ..diagnose.on_course import on_course
@@ -81,7 +82,7 @@ class Desk:
             check_belongs(loaded, data.robot, data.serial)
         progress(0.2, "fitting the model")
         fitted = validated(data, loaded.terms if loaded else start_terms(data))
-        made = versioned(fitted, loaded, "opened in the workbench")
+        made = with_error(versioned(fitted, loaded, "opened in the workbench"), fitted.expected_error)
         return self._version(session, fitted.study, fitted.held_out, made, folder, " + ".join(made.effects))
 
     def describe(self, session: str, model: str, name: str, progress: Progress, cancelled: Cancelled) -> Version:
