@@ -195,7 +195,7 @@ class ProcedureSide:
             return
         pressing, moving = seen["last_pressing"], seen["last_moving"]
         still_pressing = seen["mode"] == 1 or (seen["force"] > 30.0 and seen["mode"] != 2)
-        under_way = seen["state"] in ("position_mode", "retract", "withdraw")
+        under_way = seen["state"] in ("position_mode", "lift", "retract", "withdraw")
         if seen["mode"] == 2:
             row.robot = "drives off"
         elif still_pressing and seen["t"] >= SAFE_WITHIN:

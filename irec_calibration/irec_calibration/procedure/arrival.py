@@ -30,6 +30,7 @@ UNKNOWN_S = 3.0  # s after which a silent stream is not waited for any more
 AIR_WINDOW = 0.1  # s over which the force is averaged once the robot stands
 TOUCH_WINDOW = 0.04  # s, likewise where it is to be known at once
 TOUCH_N, TOUCH_SHARE = 20.0, 0.15  # N and share of the normal force: more out of contact is no noise
+SEEN_TO_MOVE = 1e-4  # m, of the TCP
 WAY_OUT = 0.5  # share of the force that has to act along the tool for the way out to be known
 LEASE_GRACE = 0.3  # s after an answer in which robot/state may still be of before
 
@@ -197,7 +198,23 @@ def force_rises(p: Procedure) -> str:
         return ""
     return (
         f"the robot presses harder on its way out of the contact: {newtons(read[-1])} N, {newtons(began)} N when it began, limit"
-        f" {limit:.0f} N along the tool and {limit_of_all:.0f} N in all: the move leads into the surface, and was cancelled"
+        f" {limit:.0f} N along the tool and {limit_of_all:.0f} N in all: {_into_the_surface(p)}; the move was cancelled"
+    )
+
+
+def _into_the_surface(p: Procedure) -> str:
+    """What a force that rises on the way out of the contact means, by the way of the TCP."""
+    tcp, target = p.streams.newest_tcp, p.target
+    out = 0.0
+    if tcp is not None and p.moved_from is not None and target is not None:
+        out = -float((tcp[0] - p.moved_from) @ target.R_tool_in_base[:, 2])  # the tool's z axis points into the surface
+    if out < -SEEN_TO_MOVE:
+        return f"the move leads into the surface ({-1e3 * out:.1f} mm by tcp_pose)"
+    if out < SEEN_TO_MOVE:
+        return "the move leads into the surface, or the wrench reads wrongly"
+    return (
+        f"by tcp_pose the TCP has moved {1e3 * out:.1f} mm out of the surface, so the wrench reads wrongly (has its bias changed,"
+        " is it at the end of its range?), or tcp_pose is not where the robot goes, or something else is in its way"
     )
 
 

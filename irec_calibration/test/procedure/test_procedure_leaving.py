@@ -51,9 +51,22 @@ def test_a_way_out_that_leads_into_the_surface_is_cancelled_before_the_abort_lim
     while robot.procedure.state != "finished":
         robot.tick()
         largest = max(largest, float(np.linalg.norm(robot.force)))
-    assert "the move leads into the surface, and was cancelled" in robot.procedure.stopped_because
+    assert "the move leads into the surface, or the wrench reads wrongly" in robot.procedure.stopped_because
     assert largest < 1400.0 and robot.is_safe
     assert not moves_after(robot, CancelMove)
+
+
+@pytest.mark.parametrize(
+    "way_out, says", [(0.02, "20.0 mm out of the surface, so the wrench reads wrongly"), (-2e-3, "into the surface (2.0 mm by")]
+)
+def test_by_the_way_of_the_tcp_a_sensor_that_reads_more_is_told_from_a_move_into_the_surface(way_out: float, says: str) -> None:
+    robot = leaving()
+    robot.run(stop_when="retract")
+    robot.tick()
+    robot.tcp = robot.tcp - [0.0, 0.0, way_out]
+    robot.extra_force = np.array([0.0, 0.0, -700.0])
+    robot.run(60.0)
+    assert says in robot.procedure.stopped_because
 
 
 def test_a_run_that_is_ending_watches_its_way_out_as_well() -> None:
