@@ -32,6 +32,7 @@ class Case:
             (geometry, of absolute sessions). What is there but too small to show is none of them: nobody can know its name.
         named: effects of the verdict; ladder: effects that `improve` added as causes, not to stand in for others.
         accused: poses that the diagnosis lists as having doubtful rows.
+        expected: the validation error that the improved model says is to be expected; NaN where it says nothing.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Case:
     base: float = float("nan")
     after: float = float("nan")
     oracle: float = float("nan")
+    expected: float = float("nan")
     seconds: float = float("nan")
     failed: bool = False
     said: dict[str, Any] = field(default_factory=dict)
@@ -199,6 +201,7 @@ def read_case(row: dict[str, str], truth: Path, out: Path) -> Case:
         case.after = validation_error(deflections(there / "model.csv"), deflections(truth / case.name / "truth.csv"))
     case.seconds = json.loads((there / "timing.json").read_text(encoding="utf-8"))["improve_s"]
     model = yaml.safe_load((there / "model.yaml").read_text(encoding="utf-8"))
+    case.expected = float((model.get("figures") or {}).get("expected_error_m", "nan"))
     for one in hidden["effects"]:
         effect = one["effect"]
         where = hidden_axes(effect, one["parameters"])

@@ -155,6 +155,20 @@ def ratios(cases: list[Case]) -> list[dict[str, Any]]:
     return out
 
 
+def promises(cases: list[Case]) -> list[str]:
+    """Validation error over the error that the improved model says is to be expected, by kind of session."""
+    lines = []
+    for kind in dict.fromkeys(c.kind for c in cases):
+        found = [c.after / c.expected for c in cases if c.kind == kind and not c.failed and np.isfinite(c.expected)]
+        if found:
+            low, middle, high = np.percentile(found, [10, 50, 90])
+            within = sum(r <= 2.0 for r in found)
+            figures = "".join(f"{r:8.2f}" for r in (low, middle, high, max(found)))
+            lines.append(f"{f'{kind} ({len(found)})':38}{figures}{within:10} of {len(found)}")
+    begin = f"{'validation error / error as expected':38}{'10 %':>8}{'median':>8}{'90 %':>8}{'worst':>8}{'at most 2':>16}"
+    return ["", begin, *lines] if lines else []
+
+
 def table(cases: list[Case]) -> str:
     """The score as one table."""
     lines = [f"{'':38}{'goal %':>12}  {'all':>16}{'noise as stated':>18}{'stated wrongly':>18}"]
@@ -167,6 +181,7 @@ def table(cases: list[Case]) -> str:
         cells = [f"{x['median']:.2f}, {x['worst']:.1f}" if (x := line[k]) else "-" for k in ("all", "right", "wrong")]
         start = f"{line['group']} ({line['n']}; start {line['base_over_oracle']:.1f})"
         lines.append(f"{start:38}{line['goal']:>12}  {cells[0]:>16}{cells[1]:>18}{cells[2]:>18}")
+    lines += promises(cases)
     lines += axes_in_words([a for c in cases for a in c.axes])
     seconds = [c.seconds for c in cases if not c.failed]
     if seconds:
