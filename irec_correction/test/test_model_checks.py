@@ -71,6 +71,12 @@ def test_a_sound_model_is_accepted_with_its_largest_offset(tmp_path):
     assert "was changed" in checked.changed()
 
 
+def test_what_a_model_is_to_be_taken_with_is_known_when_it_comes_into_force(tmp_path):
+    says = "the deflection is predicted to 9 um where the reflector is, but only to 62 um at the TCP"
+    assert read_checked(written(tmp_path), MOUNTED).caution == ""
+    assert read_checked(written(tmp_path, put(says, "made", "caution")), MOUNTED).caution == says
+
+
 def test_a_file_larger_than_any_model_is_refused_unread(tmp_path, monkeypatch):
     path = tmp_path / "model.yaml"
     path.write_text("a: [" + "1," * 1_900_000 + "1]\n")

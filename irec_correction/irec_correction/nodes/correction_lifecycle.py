@@ -218,6 +218,8 @@ class CorrectionNode(Managed):
             f"model {path} is in force ({', '.join(checked.model.effects)}; {checked.spent * 1e6:.0f} us; predicts up to "
             f"{checked.largest_offset * 1e3:.2f} mm in its envelope)"
         )
+        if checked.caution:
+            self.get_logger().warning(f"model {path}: {checked.caution}")
         return checked.sha256
 
     def _take_calibration(self, cell: str, folder: str, serial: str) -> None:

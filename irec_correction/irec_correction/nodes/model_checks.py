@@ -66,6 +66,11 @@ class CheckedModel:
     largest_offset: float
     spent: float
 
+    @property
+    def caution(self) -> str:
+        """What its file says is to be thought of before it is used; empty where nothing."""
+        return str(self.model.made.get("caution") or "")
+
     def changed(self) -> str:
         """What has become of the file since, empty where nothing."""
         try:

@@ -219,6 +219,8 @@ class RsiNode(Managed):
         why = self._ask("model", checked.model)
         if not why:
             self._monitor.digest = checked.sha256
+            if checked.caution:
+                self.get_logger().warning(f"model {path}: {checked.caution}")
             self.errors.pop("calibrations", None)
         return why
 
