@@ -57,13 +57,15 @@ class Deflection:
 
         Args:
             gravity_in_base: m/s^2; preload of effects that depend on the total torque.
-            payload: mass on tool0 beyond the robot description.
+            payload: mass on tool0 beyond the robot description; where it is none, that which the model counts on.
             rail_name: of the external axis, as sessions name it (`ext_<name>`).
 
         Raises:
             ActivationError: an effect can't act in real time; says which, why, and what to do.
         """
         self._gravity = np.asarray(gravity_in_base, dtype=float)
+        if payload is None or payload.mass == 0.0:  # a cell file that says nothing of the tool
+            payload = model.carried
         scene = production_scene(robot, self._gravity, payload, rail_name)
         self.left_out: dict[str, str] = {}
         springs: list[Springs] = []

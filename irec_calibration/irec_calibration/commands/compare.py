@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ..diagnose import Comparison, compare, finite
 from ..diagnose.tables import write_comparison
+from ..effects.of_session import carrying
 from ..lengths import length
 from ..model.file import check_belongs, load_model
 from ..report.diagnosis import compare_section
@@ -30,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     model, session = load_model(args.model), read_session(args.session)
     check_belongs(model, session.robot, session.serial)
-    result = compare(session, model.terms, model.sag_share)
+    result = compare(carrying(session, model.carried), model.terms, model.sag_share)
     if args.output:
         folder = Path(args.output)
         write_comparison(result, session, folder / "residuals.csv")

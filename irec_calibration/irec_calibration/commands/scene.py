@@ -10,6 +10,7 @@ from pathlib import Path
 from ..cell import read_cell
 from ..diagnose import compare, solved
 from ..diagnose.run import start_terms
+from ..effects.of_session import carrying
 from ..model.file import check_belongs, load_model
 from ..report.scene_file import write_scene
 from ..session import read_session
@@ -32,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         check_belongs(model, session.robot, session.serial)
     else:
         model = solved(session, start_terms(session))[0]
-    result = compare(session, model.terms, model.sag_share)
+    result = compare(carrying(session, model.carried), model.terms, model.sag_share)
     mesh = read_cell(args.cell).surface.mesh() if args.cell else None
     magnify = nice_scale(view_of(session), result.residual)
     surface = (mesh.vertices, mesh.corners) if mesh is not None else None

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from ..effects import Effect, Evidence
 from ..effects.formula import FormulaEffect
+from ..effects.of_session import carrying
 from ..errors import Cancelled, EffectError, ModelError
 from ..identification.provenance import model_of
 from ..identification.validation import ESTIMATOR
@@ -143,6 +144,7 @@ def improve(
             raise Cancelled("the improvement was cancelled")
 
     before, assessment, shown = examine(session, model, progress=lambda s, what: say(0.9 * s, what), cancelled=cancelled)
+    session = carrying(session, shown.asked.study.session.payload)
     start, added = assessment.built.start.study, assessment.built.final
     rungs = [_rung(shown.asked, "", 0.0, model)]
     base = list(shown.asked.study.terms)
@@ -231,6 +233,7 @@ def add_effect(model: Model, effect: Effect, session: Session) -> tuple[Model, S
     """
     if effect.id in model.effects:
         raise ModelError(f"the model has the effect '{effect.id}' already; its effects are {', '.join(model.effects)}")
+    session = carrying(session, model.carried)
     before = validated(session, model.terms)
     old = before.study if effect.completes else before.study.to_weigh
     why = old.why_not(effect)
@@ -271,7 +274,7 @@ def remove_effect(model: Model, effect_id: str, session: Session) -> tuple[Model
     rest = remaining(model.terms, effect_id)
     if not rest:
         raise ModelError(f"'{effect_id}' is the model's only effect: nothing would be left")
-    made = validated(session, rest)
+    made = validated(carrying(session, model.carried), rest)
     return with_error(versioned(made, model, f"removed {effect_id}"), made.expected_error), made.study
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..effects.of_session import carrying
 from ..errors import Cancelled, SolveError
 from ..identification.identify import default_terms
 from ..identification.provenance import model_of
@@ -23,6 +24,7 @@ from .comparison import compare_observed
 from .held_out import fitted_truly, held_out, validated
 from .next_poses import next_measurements
 from .parts import parts_in, without_columns
+from .payload import with_payload_as_shown
 from .proposals import proposals
 from .questions import Question, questions
 from .result import Candidate, Diagnosis, Measurement
@@ -91,10 +93,18 @@ def examine(
             raise Cancelled("the diagnosis was cancelled")
 
     say(0.0, "fitting the model")
-    first = fitted_truly(validated(session, model.terms if model else start_terms(session)))
-    asked = first.study.to_weigh
+    if model is not None:
+        session = carrying(session, model.carried)
+    terms = model.terms if model else start_terms(session)
+    first = fitted_truly(validated(session, terms))
     check()
-    study = completed_study(asked)
+    study = completed_study(first.study.to_weigh)
+    check()
+    loaded = with_payload_as_shown(session, study, check)
+    if loaded is not session:
+        session, first = loaded, fitted_truly(validated(loaded, terms))
+        study = completed_study(first.study.to_weigh)
+    asked = first.study.to_weigh
     check()
     say(done.fitted, "building a model from the effects of the catalogue")
     asked, study, built = built_either_way(asked, study, check, lambda words: say(0.5 * (done.fitted + done.built), words))

@@ -3,15 +3,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from ..robot import Kinematics
+from ..robot import Kinematics, Payload
 from ..robot.coupled import coupling
 from ..session.data import Session
 from ..session.registration import level_gravity, registered
 from ..typing import Array, IntArray
 from .scene import Scene
 from .state import Arm, Gravity, Instruments, Load, Rows, View
+
+
+def carrying(session: Session, payload: Payload | None) -> Session:
+    """A loaded session with a payload where it states none."""
+    stated = session.payload is not None or session.kind != "loaded"
+    return session if stated or payload is None else replace(session, payload=payload)
 
 
 def scene_of(session: Session, *, observe: str = "marker") -> Scene:

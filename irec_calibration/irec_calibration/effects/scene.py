@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..robot import Kinematics, Robot
+from ..robot import Kinematics, Payload, Robot
 from ..typing import Array, BoolArray, IntArray
 from .state import Arm, ElasticResponse, Gravity, Instruments, Load, Rows, View, cut
 
@@ -284,6 +284,12 @@ class Scene:
     def seen_at(self, p_observed: Array) -> Scene:
         """With another observed point, (n, 3), m, on the same link."""
         return replace(self, view=View(self.arm, p_observed, self.moves_with_arm, self.view.sags))
+
+    def carrying(self, payload: Payload) -> Scene:
+        """With another payload, whose weight loads the axes."""
+        g = self.gravity
+        tau = self.arm.followed(self.robot.gravity_torque(self.arm.q, g.in_base, payload, g.branches))
+        return replace(self, gravity=Gravity(self.arm, g.in_base, tau, payload, g.branches))
 
     def by_weight(self) -> Scene:
         """The same rows under nothing but the arm's own weight, all of it: as an absolute session without process."""

@@ -11,6 +11,7 @@ import numpy as np
 from .. import __version__
 from ..lengths import length
 from ..model import Envelope, Model
+from ..session.data import Session
 from ..typing import Json
 from .absolute import held_geometry
 from .identify import Fit
@@ -53,6 +54,7 @@ def model_of(result: Fit, *, held_out: HeldOut | None = None, parent: str = "") 
             **({"parent": parent} if parent else {}),
             **instruments(result),
             **_sag_share(result),
+            **_payload_as_shown(session),
             **({"without_tracker": True} if session.contact is not None else {}),
             **({"held_at_zero": list(held)} if held else {}),
             **({"caution": caution} if (caution := "; ".join(_cautions(result))) else {}),
@@ -78,6 +80,12 @@ def _sag_share(result: Fit) -> Json:
     share = observation.scene.view.sags
     sees_it = observation.session.kind == "loaded" and observation.session.contact is None
     return {"sag_share": share} if sees_it and share != 1.0 else {}
+
+
+def _payload_as_shown(session: Session) -> Json:
+    """`Model.carried`, where the session did not state it."""
+    p = session.payload
+    return {} if p is None or "payload" in session.meta else {"payload_as_shown": {"mass": p.mass, "com": list(p.com)}}
 
 
 def _figures(held_out: HeldOut) -> Json:

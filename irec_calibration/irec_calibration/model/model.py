@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from ..effects import is_predicted, parameters_of
 from ..effects.scene import Scene
+from ..robot import Payload
 from ..typing import Array, Json
 from .displacements import total_displacement
 from .term import Term
@@ -87,8 +88,20 @@ class Model:
         share = self.made.get("sag_share", 1.0) if isinstance(self.made, dict) else 1.0
         return float(share) if isinstance(share, (int, float)) and 0.0 <= share <= MOST_SAG else 1.0
 
+    @property
+    def carried(self) -> Payload | None:
+        """Payload that its session showed without stating one, and that its laws of gears count on; None where it stated it."""
+        found = self.made.get("payload_as_shown") if isinstance(self.made, dict) else None
+        if not isinstance(found, dict):
+            return None
+        x, y, z = (float(v) for v in found["com"])
+        return Payload(float(found["mass"]), (x, y, z))
+
     def standing(self, scene: Scene) -> Scene:
-        """A loaded scene with the arm as it stands by a geometry error of the model: springs turn about other lines."""
+        """A loaded scene with the arm as it stands by a geometry error of the model: springs turn about other lines; and with the
+        payload that the model's session showed, where it states none."""
+        if scene.kind == "loaded" and scene.gravity.payload is None and self.carried is not None:
+            scene = scene.carrying(self.carried)
         for term in self.terms:
             if term.effect.moves_joints and scene.kind == "loaded":
                 scene = term.effect.standing(scene, term.theta(parameters_of(term.effect, scene)))

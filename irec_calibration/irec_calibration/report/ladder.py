@@ -15,6 +15,7 @@ from ..diagnose.improve import Ladder, Rung
 from ..diagnose.result import Comparison
 from ..effects import find_effect
 from ..effects.formula import in_words
+from ..effects.of_session import carrying
 from ..errors import IrecError
 from ..identification.validation import ESTIMATOR
 from ..lengths import length
@@ -117,7 +118,9 @@ def _ladder(ladder: Ladder) -> Section:
 def _before_after(ladder: Ladder, session: Session, folder: Path) -> list[Section]:
     if len(ladder.rungs) < 2:
         return []
-    before, after = (compare(session, r.model.terms, r.model.sag_share) for r in (ladder.rungs[0], ladder.rungs[-1]))
+    before, after = (
+        compare(carrying(session, r.model.carried), r.model.terms, r.model.sag_share) for r in (ladder.rungs[0], ladder.rungs[-1])
+    )
     rows, residuals = in_both(before, after)
     figure = samples.residual_maps(
         session.p_tcp_in_base[rows], residuals, ["Before", "After"], folder / "before_after.png",

@@ -12,7 +12,7 @@ from .robot import Robot
 
 RATED_OVER_GRAVITY = 2.0  # a drive that is rated for its arm carries about twice what gravity asks of it at worst
 POSTURES = 64
-SMALLEST_SHARE = 1e-3  # of the strongest joint's torque: a joint that gravity hardly loads is still a drive
+SMALLEST_SHARE = 0.05  # of the strongest drive's torque; wrists of serial arms have 0.06 to 0.2 of it
 WITHOUT_MASSES = 1000.0  # N m, where the robot description gives neither efforts nor masses: nothing is known
 FEWEST_ALIKE = 4  # joints with one and the same limit: from shoulder to wrist drives differ, so it was filled in
 

@@ -33,6 +33,7 @@ from ..diagnose import (
 from ..diagnose.on_course import on_course
 from ..effects import Effect, known_effects
 from ..effects.formula import FormulaEffect
+from ..effects.of_session import carrying
 from ..effects.user import effect_from_text, register_file
 from ..errors import EffectError, IrecError, ModelError
 from ..identification.validation import HeldOut
@@ -80,6 +81,7 @@ class Desk:
         loaded = load_model(model) if model else None
         if loaded is not None:
             check_belongs(loaded, data.robot, data.serial)
+            data = carrying(data, loaded.carried)
         progress(0.2, "fitting the model")
         fitted = validated(data, loaded.terms if loaded else start_terms(data))
         made = with_error(versioned(fitted, loaded, "opened in the workbench"), fitted.expected_error)
@@ -203,7 +205,8 @@ class Desk:
         data = self._session(session)
         key = (session, model)
         if key not in self._studies:
-            self._studies[key] = validated(data, load_model(model).terms).study
+            loaded = load_model(model)
+            self._studies[key] = validated(carrying(data, loaded.carried), loaded.terms).study
         return self._studies[key]
 
     def _version(self, session: str, study: Study, cv: HeldOut, model: Model, folder: str, name: str) -> Version:

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A payload that a loaded session does not state, from the torques at which the laws of gears turn.
+
+In a loaded session the weight of a tool cancels but for one thing: with it the torque of an axis changes sign elsewhere, where
+play is crossed and a gear is soft. Without it these laws look like nothing in the catalogue. So where neither session nor robot
+description have the tool, its mass is sought: at each of some masses play and stiffening are tried on top of the model. Where the
+mass sits matters little beside how much it is: it is taken half way between the last joint and the TCP.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import log
+
+import numpy as np
+
+from ..effects import find_effect
+from ..effects.of_session import carrying
+from ..robot import Payload
+from ..session.data import Session
+from .candidates import try_effect
+from .settings import SETTINGS, Settings
+from .study import Study
+
+LAWS = ("joint_backlash", "joint_stiffening")
+SHARES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)  # of the mass of the moving arm; rated payloads are 0.1 to 0.35 of it
+NEARER = (0.5, 0.25)  # octaves by which the best is moved to either side
+NOTE = "no payload is stated, and play or softness of gears turns at the torques of one of"
+
+
+def with_payload_as_shown(
+    session: Session, study: Study, check: Callable[[], None] = lambda: None, settings: Settings = SETTINGS
+) -> Session:
+    """The session with the payload that it shows, and a note; the same where it states one or shows none.
+
+    Args:
+        study: of the session, with what completes its springs.
+    """
+    arm = float(session.robot.moved_masses.sum())
+    if session.kind != "loaded" or session.payload is not None or arm <= 0.0 or not np.any(session.gravity_in_base):
+        return session
+    none = _evidence(study, None)
+    tried = {share: _evidence(study, _payload(session, share * arm)) for share in SHARES}
+    check()
+    best = max(tried, key=lambda share: tried[share])
+    if tried[best] - log(len(SHARES)) < max(none, 0.0) + settings.nats_to_name:
+        return session
+    for octaves in NEARER:
+        for share in (best * 2.0**-octaves, best * 2.0**octaves):
+            tried[share] = _evidence(study, _payload(session, share * arm))
+        check()
+        best = max(tried, key=lambda share: tried[share])
+    payload = _payload(session, best * arm)
+    note = (
+        f"{NOTE} about {payload.mass:.2g} kg (log odds {tried[best] - log(len(SHARES)) - max(none, 0.0):.0f}), which is taken:"
+        " state it (payload: mass and com in tool0)"
+    )
+    return replace(carrying(session, payload), notes=(*session.notes, note))
+
+
+def _payload(session: Session, mass: float) -> Payload:
+    kin = session.robot.kinematics(session.q[:1])
+    from_last_joint = kin.R_tool[0].T @ (kin.p_tcp[0] - kin.origin[0, -1])
+    x, y, z = (-0.5 * from_last_joint).tolist()
+    return Payload(mass, (x, y, z))
+
+
+def _evidence(study: Study, payload: Payload | None) -> float:
+    """Log evidence of the likelier law of the gears, with a payload."""
+    there = study if payload is None else replace(study, ready=study.ready.carrying(payload))
+    present = {t.effect.id for t in study.terms}
+    found = (try_effect(there, find_effect(law)) for law in LAWS if law not in present)
+    return max((trial.log_evidence for trial in found if trial is not None), default=-np.inf)
