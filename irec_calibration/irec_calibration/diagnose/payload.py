@@ -15,15 +15,15 @@ from math import log
 
 import numpy as np
 
-from ..effects import find_effect
+from ..effects import known_effects
 from ..effects.of_session import carrying
+from ..effects.traits import Family
 from ..robot import Payload
 from ..session.data import Session
 from .candidates import try_effect
 from .settings import SETTINGS, Settings
 from .study import Study
 
-LAWS = ("joint_backlash", "joint_stiffening")
 SHARES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)  # of the mass of the moving arm; rated payloads are 0.1 to 0.35 of it
 NEARER = (0.5, 0.25)  # octaves by which the best is moved to either side
 NOTE = "no payload is stated, and play or softness of gears turns at the torques of one of"
@@ -41,20 +41,23 @@ def with_payload_as_shown(
     if session.kind != "loaded" or session.payload is not None or arm <= 0.0 or not np.any(session.gravity_in_base):
         return session
     none = _evidence(study, None)
-    tried = {share: _evidence(study, _payload(session, share * arm)) for share in SHARES}
-    check()
+
+    def gain(share: float) -> float:
+        """Log odds for a payload, by the law that gains most by it."""
+        check()
+        found = _evidence(study, _payload(session, share * arm))
+        return max((odds - max(none.get(law, 0.0), 0.0) for law, odds in found.items()), default=0.0) - log(len(SHARES))
+
+    tried = {share: gain(share) for share in SHARES}
     best = max(tried, key=lambda share: tried[share])
-    if tried[best] - log(len(SHARES)) < max(none, 0.0) + settings.nats_to_name:
+    if tried[best] < settings.nats_to_name:
         return session
     for octaves in NEARER:
-        for share in (best * 2.0**-octaves, best * 2.0**octaves):
-            tried[share] = _evidence(study, _payload(session, share * arm))
-        check()
+        tried |= {share: gain(share) for share in (best * 2.0**-octaves, best * 2.0**octaves)}
         best = max(tried, key=lambda share: tried[share])
     payload = _payload(session, best * arm)
     note = (
-        f"{NOTE} about {payload.mass:.2g} kg (log odds {tried[best] - log(len(SHARES)) - max(none, 0.0):.0f}), which is taken:"
-        " state it (payload: mass and com in tool0)"
+        f"{NOTE} about {payload.mass:.2g} kg (log odds {tried[best]:.0f}), which is taken: state it (payload: mass and com in tool0)"
     )
     return replace(carrying(session, payload), notes=(*session.notes, note))
 
@@ -66,9 +69,10 @@ def _payload(session: Session, mass: float) -> Payload:
     return Payload(mass, (x, y, z))
 
 
-def _evidence(study: Study, payload: Payload | None) -> float:
-    """Log evidence of the likelier law of the gears, with a payload."""
+def _evidence(study: Study, payload: Payload | None) -> dict[str, float]:
+    """Log evidence of each law of the gears, with a payload."""
     there = study if payload is None else replace(study, ready=study.ready.carrying(payload))
     present = {t.effect.id for t in study.terms}
-    found = (try_effect(there, find_effect(law)) for law in LAWS if law not in present)
-    return max((trial.log_evidence for trial in found if trial is not None), default=-np.inf)
+    laws = (e for e in known_effects().values() if e.family is Family.TORQUE_LAW and e.id not in present and not study.why_not(e))
+    found = {law.id: try_effect(there, law) for law in laws}
+    return {name: trial.log_evidence for name, trial in found.items() if trial is not None}

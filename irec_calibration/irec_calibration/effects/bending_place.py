@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Iterator
 
 import numpy as np
 
-from ..robot import Robot
-from ..typing import Array
+from ..typing import Array, IntArray
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
 from .scales import typical_compliance
@@ -17,17 +16,19 @@ from .traits import Family
 
 TYPICAL_OFFSET = 0.03  # m; where a casting or a bearing gives way is a few centimetres off the origin that the description has
 ALONG = "z"  # the joint's own axis, in names of parameters
+ACROSS = ("a", "b")
 
 
 class BendingPlace(Effect):
     id = "bending_place"
     label = "place of bending"
     physics = (
-        "The springs of link_bending sit beside the URDF origins of the joints. About an axis a through a point d off the "
-        "origin a force f turns the link by c (tau - f . (a x d)), and the TCP moves by that angle times (a x r - a x d): to "
-        "first order in d two coupling terms, m (V_a (e . f) + e tau_a) for each of two directions e across a, m = -c (a x d) "
-        ". e, the larger the softer the spring is. Every robot has it to some extent; missing, it leaves some ten micrometres "
-        "that pass for tool_compliance."
+        "The springs of joint_torsion and link_bending sit beside the URDF origins of the joints: a link bends over its length, "
+        "in the plane of the arm too, where that looks like a softer drive. About an axis a through a point d off the origin a "
+        "force f turns the link by c (tau - f . (a x d)), and the TCP moves by that angle times (a x r - a x d): to first order "
+        "in d two coupling terms, m (V_a (e . f) + e tau_a) for each of two directions e across a, m = -c (a x d) . e, the larger "
+        "the softer the spring is. Every robot has it to some extent; missing, it leaves some ten micrometres that pass for "
+        "tool_compliance or base_compliance."
     )
     family = Family.SPRING
     elastic = True
@@ -37,7 +38,14 @@ class BendingPlace(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         if scene.kind == "absolute":  # under gravity the force that acts beyond a joint is another one for each joint
             return ()
-        return _of_robot(scene.robot)
+        scale = (TYPICAL_OFFSET * typical_compliance(scene.robot)).tolist()
+        return tuple(
+            Parameter(
+                f"m_{k + 1}{axis}{e}", "m/(N m)", scale[k], plausible=(-100.0 * scale[k], 100.0 * scale[k]),
+                group=f"axis {k + 1}", axis=k, goes_with=f"c_{k + 1}{axis if axis != ALONG else ''}",
+            )
+            for k, axis, e in _springs(scene)
+        )  # fmt: skip
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         n, k = len(scene), scene.n_joints
@@ -45,35 +53,39 @@ class BendingPlace(Effect):
         V = scene.V.reshape(n, 3, k, 2)
         across, along = scene.kin.virtual_axis, scene.kin.axis
         moves = scene.moves_with_arm[:, None]
-        out = np.empty((n, 3, k, 2, 2))
+        bent = np.empty((n, 3, k, 2, 2))
         for v in range(2):
             for i, e in enumerate((along, across[:, :, 1 - v])):
                 pushed = np.einsum("nki,ni->nk", e, scene.force)
-                out[:, :, :, v, i] = V[:, :, :, v] * pushed[:, None] + e.swapaxes(1, 2) * (tau[:, :, v] * moves)[:, None]
-        return out.reshape(n, 3, -1)
+                bent[:, :, :, v, i] = V[:, :, :, v] * pushed[:, None] + e.swapaxes(1, 2) * (tau[:, :, v] * moves)[:, None]
+        turning = _turning(scene)
+        turned = np.empty((n, 3, len(turning), 2))
+        by_drive = scene.load_torque()[:, turning] * moves
+        for i in range(2):
+            e = across[:, turning, i]
+            pushed = np.einsum("nki,ni->nk", e, scene.force)
+            turned[:, :, :, i] = scene.J[:, :, turning] * pushed[:, None] + e.swapaxes(1, 2) * by_drive[:, None]
+        return np.concatenate([bent.reshape(n, 3, -1), turned.reshape(n, 3, -1)], axis=2)
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         entries = []
-        names = [(k + 1, v, e) for k in range(scene.n_joints) for v, e in _pairs()]
-        for (k, v, e), m in zip(names, theta, strict=True):
-            turns, shifts = f"joint_{k}{v}", f"joint_{k}t{e}"
+        for (k, axis, e), m in zip(_springs(scene), theta, strict=True):
+            turns, shifts = f"joint_{k + 1}{axis if axis != ALONG else ''}", f"joint_{k + 1}t{e}"
             entries += [(turns, shifts, float(m)), (shifts, turns, float(m))]
         return Springs(tuple(entries))
 
 
-@lru_cache(maxsize=16)
-def _of_robot(robot: Robot) -> tuple[Parameter, ...]:
-    scale = TYPICAL_OFFSET * typical_compliance(robot)
-    return tuple(
-        Parameter(
-            f"m_{k + 1}{v}{e}", "m/(N m)", s, plausible=(-100.0 * s, 100.0 * s), group=f"axis {k + 1}", axis=k,
-            goes_with=f"c_{k + 1}{v}",
-        )
-        for k, s in enumerate(scale.tolist())
-        for v, e in _pairs()
-    )  # fmt: skip
+def _turning(scene: Scene) -> IntArray:
+    """Joints whose drive gives way by an angle."""
+    return np.flatnonzero(scene.driven & ~scene.kin.is_prismatic)
 
 
-def _pairs() -> tuple[tuple[str, str], ...]:
-    """Virtual axis and direction across it."""
-    return (("a", ALONG), ("a", "b"), ("b", ALONG), ("b", "a"))
+def _springs(scene: Scene) -> Iterator[tuple[int, str, str]]:
+    """Joint from 0, axis that the spring turns about, and direction across it, of each parameter."""
+    for k in range(scene.n_joints):
+        for axis, other in zip(ACROSS, ACROSS[::-1], strict=True):
+            yield k, axis, ALONG
+            yield k, axis, other
+    for k in _turning(scene).tolist():
+        for e in ACROSS:
+            yield k, ALONG, e
