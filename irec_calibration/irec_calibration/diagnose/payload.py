@@ -57,7 +57,8 @@ def with_payload_as_shown(
         best = max(tried, key=lambda share: tried[share])
     payload = _payload(session, best * arm)
     note = (
-        f"{NOTE} about {payload.mass:.2g} kg (log odds {tried[best]:.0f}), which is taken: state it (payload: mass and com in tool0)"
+        f"{NOTE} about {payload.mass:.2g} kg (log odds {tried[best]:.0f}), which is taken: state it (payload: mass and com in"
+        " tool0)"
     )
     return replace(carrying(session, payload), notes=(*session.notes, note))
 

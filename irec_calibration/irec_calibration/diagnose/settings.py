@@ -157,8 +157,8 @@ class Settings(Thresholds):
         "what is told apart; of 8 names in 286 sessions that were preferred by 2.3 to 5, 2 were wrong",
     )  # fmt: skip
     nats_for_form: float = threshold(
-        2.3, "nats", "evidence against what completes the form of springs (`bending_place`), above which a model is without it",
-        "prior odds of 10: every robot has it to some extent",
+        4.6, "nats", "evidence against what completes the form of springs (`bending_place`), above which a model is without it",
+        "prior odds of 100: every robot has it to some extent",
     )  # fmt: skip
     share_of_rival: float = threshold(
         0.5, "share of evidence", "of the name, that a rival must bring by itself, without what has no name beside it",

@@ -23,12 +23,12 @@ class BendingPlace(Effect):
     id = "bending_place"
     label = "place of bending"
     physics = (
-        "The springs of joint_torsion and link_bending sit beside the URDF origins of the joints: a link bends over its length, "
-        "in the plane of the arm too, where that looks like a softer drive. About an axis a through a point d off the origin a "
-        "force f turns the link by c (tau - f . (a x d)), and the TCP moves by that angle times (a x r - a x d): to first order "
-        "in d two coupling terms, m (V_a (e . f) + e tau_a) for each of two directions e across a, m = -c (a x d) . e, the larger "
-        "the softer the spring is. Every robot has it to some extent; missing, it leaves some ten micrometres that pass for "
-        "tool_compliance or base_compliance."
+        "The springs of joint_torsion and link_bending sit beside the URDF origins of the joints: a link bends over its "
+        "length, in the plane of the arm too, where that looks like a softer drive. About an axis a through a point d off the "
+        "origin a force f turns the link by c (tau - f . (a x d)), and the TCP moves by that angle times (a x r - a x d): to "
+        "first order in d two coupling terms, m (V_a (e . f) + e tau_a) for each of two directions e across a, "
+        "m = -c (a x d) . e, the larger the softer the spring is. Every robot has it to some extent; missing, it leaves some ten "
+        "micrometres that pass for tool_compliance or base_compliance."
     )
     family = Family.SPRING
     elastic = True

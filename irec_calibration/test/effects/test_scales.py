@@ -26,9 +26,15 @@ def test_the_rated_torque_is_that_of_the_description_where_it_gives_one():
 
 def test_an_effort_of_zero_means_unknown_and_gravity_says_what_the_drives_must_carry():
     guessed = rated_torque(Robot(NO_EFFORT))
-    assert np.all(guessed > 0.0) and np.all(guessed[:3] > 2.0 * np.asarray(EFFORT[:3]) / 10) and guessed[1] > 20.0 * guessed[5]
+    assert np.all(guessed > 0.0) and np.all(guessed[:3] > 2.0 * np.asarray(EFFORT[:3]) / 10) and guessed[1] > 10.0 * guessed[5]
     light = Robot(re.sub(r'mass value="([\d.]+)"', lambda m: f'mass value="{float(m[1]) / 100}"', NO_EFFORT))
     np.testing.assert_allclose(rated_torque(light), guessed / 100, rtol=1e-9)
+
+
+def test_no_drive_is_guessed_weaker_than_wrists_are_however_little_gravity_asks_of_it():
+    guessed = rated_torque(Robot(NO_EFFORT))
+    np.testing.assert_allclose(guessed.min(), 0.05 * guessed.max())
+    assert np.min(EFFORT) > 0.05 * np.max(EFFORT)
 
 
 def test_one_effort_for_all_drives_was_filled_in_and_says_nothing():

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A payload that a loaded session does not state, found by the torque at which play is crossed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import compare, improve
+from irec_calibration.diagnose.payload import with_payload_as_shown
+from irec_calibration.diagnose.study import completed_study, prepare
+from irec_calibration.effects.of_session import carrying, scene_of
+from irec_calibration.effects.scene import Scene
+from irec_calibration.identification.identify import default_terms
+from irec_calibration.model import Model
+from irec_calibration.model.file import load_model, save_model
+from irec_calibration.robot import Payload
+from irec_calibration.session import Session
+from irec_calibration.typing import Array
+
+TOOL = Payload(120.0, (-0.02, 0.01, -0.15))
+PLAY = 8e-4  # rad, in axes 4 and 5
+
+
+def play(carried: Payload | None) -> Callable[[Scene], Array]:
+    """Play of two axes of the wrist, crossed at zero torque of process, links and a payload, written out."""
+
+    def moved(scene: Scene) -> Array:
+        robot, q = scene.robot, scene.q
+        tau = scene.tau_acting + robot.gravity_torque(q, (0.0, 0.0, -9.81), carried)
+        return sum(0.5 * PLAY * np.tanh(tau[:, k] / 15.0)[:, None] * scene.J[:, :, k] for k in (3, 4))
+
+    return moved
+
+
+@cache
+def measured(mass: bool) -> Session:
+    """Without a word on the payload."""
+    return synthetic.session(40, 3, extra=play(TOOL if mass else None))
+
+
+def as_shown(session: Session) -> Session:
+    return with_payload_as_shown(session, completed_study(prepare(session, default_terms(session))))
+
+
+def test_the_mass_of_a_tool_that_nobody_stated_is_found() -> None:
+    shown = as_shown(measured(True))
+    about = np.linalg.norm(TOOL.com) / np.linalg.norm(shown.payload.com)  # its moment is what shows
+    assert shown.payload.mass == pytest.approx(about * TOOL.mass, rel=0.5)
+    assert any("no payload is stated" in note and "which is taken: state it" in note for note in shown.notes)
+
+
+def test_where_there_is_none_none_is_found() -> None:
+    for session in (measured(False), synthetic.session(20, 1)):
+        assert as_shown(session) is session
+
+
+def test_a_payload_that_is_stated_is_believed() -> None:
+    stated = replace(measured(True), payload=Payload(10.0))
+    assert as_shown(stated) is stated
+
+
+def test_play_is_found_by_a_session_that_does_not_state_the_tool() -> None:
+    verdict = improve(measured(True)).before.verdict
+    assert "joint_backlash" in (*verdict.effects, *(i for s in verdict.one_of for i in s))
+
+
+def test_a_model_counts_on_the_payload_wherever_none_is_stated(tmp_path) -> None:
+    ladder = improve(measured(True))
+    model = load_model(save_model(ladder.model, tmp_path / "model.yaml"))
+    assert model.carried == as_shown(measured(True)).payload
+    other = synthetic.session(20, 9, extra=play(TOOL))
+    scene, heavier = scene_of(other, observe="tcp"), scene_of(replace(other, payload=model.carried), observe="tcp")
+    np.testing.assert_allclose(model.predict(scene), model.predict(heavier), atol=1e-12)
+    bare = Model(model.terms)
+    left = [compare(s, m.terms).rms_m for s, m in ((carrying(other, model.carried), model), (other, bare))]
+    assert left[0] < 0.8 * left[1]
