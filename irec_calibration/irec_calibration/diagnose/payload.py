@@ -9,13 +9,13 @@ mass sits matters little beside how much it is: it is taken half way between the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import log
 
 import numpy as np
 
-from ..effects import known_effects
+from ..effects import Effect, known_effects
 from ..effects.of_session import carrying
 from ..effects.traits import Family
 from ..robot import Payload
@@ -40,12 +40,17 @@ def with_payload_as_shown(
     arm = float(session.robot.moved_masses.sum())
     if session.kind != "loaded" or session.payload is not None or arm <= 0.0 or not np.any(session.gravity_in_base):
         return session
-    none = _evidence(study, None)
+    present = {t.effect.id for t in study.terms}
+    laws = [
+        e for e in known_effects().values() if e.family is Family.TORQUE_LAW and e.id not in present and not study.why_not(e)
+    ]
+    none, heaviest = (_evidence(study, laws, p) for p in (None, _payload(session, SHARES[-1] * arm)))
+    laws = [law for law in laws if none.get(law.id) != heaviest.get(law.id)]  # others don't ask for the weight
 
     def gain(share: float) -> float:
         """Log odds for a payload, by the law that gains most by it."""
         check()
-        found = _evidence(study, _payload(session, share * arm))
+        found = _evidence(study, laws, _payload(session, share * arm))
         return max((odds - max(none.get(law, 0.0), 0.0) for law, odds in found.items()), default=0.0) - log(len(SHARES))
 
     tried = {share: gain(share) for share in SHARES}
@@ -70,10 +75,8 @@ def _payload(session: Session, mass: float) -> Payload:
     return Payload(mass, (x, y, z))
 
 
-def _evidence(study: Study, payload: Payload | None) -> dict[str, float]:
+def _evidence(study: Study, laws: Sequence[Effect], payload: Payload | None) -> dict[str, float]:
     """Log evidence of each law of the gears, with a payload."""
     there = study if payload is None else replace(study, ready=study.ready.carrying(payload))
-    present = {t.effect.id for t in study.terms}
-    laws = (e for e in known_effects().values() if e.family is Family.TORQUE_LAW and e.id not in present and not study.why_not(e))
     found = {law.id: try_effect(there, law) for law in laws}
     return {name: trial.log_evidence for name, trial in found.items() if trial is not None}
