@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 
+from ..robot import Robot
 from ..typing import Array, IntArray
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
@@ -15,6 +17,9 @@ from .scene import Scene
 from .traits import Family
 
 TYPICAL_OFFSET = 0.03  # m; where a casting or a bearing gives way is a few centimetres off the origin that the description has
+# A drive turns about its own axis. With a link that bends in the plane of the arm, at half its length and by some sixth of what the
+# drive gives way, the place is this share of the way to the next axis; what holds a drive is off by a centimetre at least.
+SHARE_OF_LINK, LEAST_OFFSET = 0.08, 0.01
 ALONG = "z"  # the joint's own axis, in names of parameters
 ACROSS = ("a", "b")
 
@@ -38,10 +43,11 @@ class BendingPlace(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         if scene.kind == "absolute":  # under gravity the force that acts beyond a joint is another one for each joint
             return ()
-        scale = (TYPICAL_OFFSET * typical_compliance(scene.robot)).tolist()
+        soft = typical_compliance(scene.robot)
+        far = {"a": TYPICAL_OFFSET * soft, "b": TYPICAL_OFFSET * soft, ALONG: _offset_of_drives(scene.robot) * soft}
         return tuple(
             Parameter(
-                f"m_{k + 1}{axis}{e}", "m/(N m)", scale[k], plausible=(-100.0 * scale[k], 100.0 * scale[k]),
+                f"m_{k + 1}{axis}{e}", "m/(N m)", float(far[axis][k]), plausible=(-3.0 * float(soft[k]), 3.0 * float(soft[k])),
                 group=f"axis {k + 1}", axis=k, goes_with=f"c_{k + 1}{axis if axis != ALONG else ''}",
             )
             for k, axis, e in _springs(scene)
@@ -73,6 +79,15 @@ class BendingPlace(Effect):
             turns, shifts = f"joint_{k + 1}{axis if axis != ALONG else ''}", f"joint_{k + 1}t{e}"
             entries += [(turns, shifts, float(m)), (shifts, turns, float(m))]
         return Springs(tuple(entries))
+
+
+@lru_cache(maxsize=16)
+def _offset_of_drives(robot: Robot) -> Array:
+    """How far off its axis what gives way as a drive does is typically, (k,), m."""
+    kin = robot.kinematics(np.zeros((1, robot.n_joints)))
+    following = np.concatenate([kin.origin[0, 1:], kin.p_tcp])
+    away = np.linalg.norm(np.cross(kin.axis[0], following - kin.origin[0]), axis=1)
+    return np.asarray(np.maximum(SHARE_OF_LINK * away, LEAST_OFFSET))
 
 
 def _turning(scene: Scene) -> IntArray:
