@@ -63,9 +63,9 @@ def explain(start: Explanation, current: Explanation, trial: Trial, family: Fami
     fitted = refit(current.study, trial)
     if fitted is None:
         return None
-    before, after = (s.bench.posterior(s.base) for s in (current.study, fitted))
-    saved = current.study.bench.saved(before.chi2, max(after.chi2, fitted.true_chi2))
-    named = supported(after.log_evidence - before.log_evidence - log(len(FACTORS)), saved) + trial.best.log_prior
+    gained = _evidence(fitted) - _evidence(current.study) - log(len(FACTORS))
+    saved = _saved(current.study, fitted, fitted.true_chi2)
+    named = supported(gained, saved) + trial.best.log_prior
     if not current.added:  # the trial tried more prior widths, but there no spring gives way to an effect
         named = max(named, supported(trial.log_evidence, saved))
     added = fitted.terms[len(start.study.terms) :]
@@ -79,7 +79,7 @@ def reshaped_again(start: Explanation, one: Explanation, family: Family) -> Expl
     if study is one.study:
         return one
     before, after = (s.bench.posterior(s.base) for s in (one.study, study))
-    named = one.named + supported(after.log_evidence - before.log_evidence, one.study.bench.saved(before.chi2, after.chi2))
+    named = one.named + supported(_evidence(study) - _evidence(one.study), one.study.bench.saved(before.chi2, after.chi2))
     return Explanation(study.terms[len(start.study.terms) :], study, named, remainder_of(study, family, one.remainder.parts))
 
 
@@ -124,11 +124,28 @@ def _without(start: Explanation, one: Explanation, effect_id: str, family: Famil
     bent = bends(one.term(effect_id), one.study.ready)
     # what bends the same curve was shaped beside the one taken out
     rest_study = reshaped(rest_study, [t.effect.id for t in terms if bends(t, one.study.ready) & bent])
-    with_it, bare = (s.bench.posterior(s.base) for s in (one.study, rest_study))
-    lost = with_it.log_evidence - log(len(FACTORS)) - bare.log_evidence
+    lost = _evidence(one.study) - log(len(FACTORS)) - _evidence(rest_study)
     added = tuple(t for t in rest_study.terms if t.effect.id in one.ids)
     rest = remainder_of(rest_study, family, one.remainder.parts)
-    return Explanation(added, rest_study, one.named - min(lost, one.study.bench.saved(bare.chi2, with_it.chi2)), rest)
+    return Explanation(added, rest_study, one.named - min(lost, _saved(rest_study, one.study)), rest)
+
+
+def _evidence(study: Study) -> float:
+    """Log evidence of a model, with the odds of how large what completes the form of its springs has to be for it."""
+    return study.bench.posterior(study.base).log_evidence + study.log_odds_of_form
+
+
+def _saved(without: Study, with_it: Study, at_least: float = 0.0) -> float:
+    """Evidence by the fall of the residual between models without and with an effect, what completes the form of springs being as
+    large in both: without the effect it may be large enough to stand for it.
+
+    Args:
+        at_least: squared residual, in standard deviations, that the model with it leaves.
+    """
+    bench = without.bench
+    before = bench.posterior(without.with_form(with_it.form)).chi2
+    after = with_it.bench.posterior(with_it.base).chi2
+    return bench.saved(before, max(after, at_least))
 
 
 def own_forms(one: Explanation, effect_id: str) -> Forms:

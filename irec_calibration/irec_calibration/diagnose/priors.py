@@ -15,8 +15,9 @@ FACTORS = np.array([0.1, 0.5, 2.5, 12.5])  # of an effect's prior width
 FACTOR_OF_FORM = 2.0  # within which it is known how large what completes the springs' form is, one standard deviation
 
 
-def choices(owners: Sequence[Effect]) -> Iterator[tuple[Array, Array]]:
-    """Multiples of the prior widths to choose from by evidence, one set after the other, each (k, p), and log odds of each, (k,).
+def choices(owners: Sequence[Effect]) -> Iterator[tuple[Array, Array, str]]:
+    """Multiples of the prior widths to choose from by evidence, one set after the other, each (k, p), log odds of each, (k,), and
+    the effect that completes the form of springs whose levels they are, or an empty string.
 
     First the springs of the axes, which every robot has, at all combinations of their levels, then every further effect by
     itself. How large what completes the form of springs is, is known beforehand but for a factor; of the others nothing is.
@@ -29,11 +30,11 @@ def choices(owners: Sequence[Effect]) -> Iterator[tuple[Array, Array]]:
     levels = np.ones((1, len(owner)))
     for name in springs:
         levels = np.array([np.where(owner == name, level, row) for row in levels for level in LEVELS])
-    yield levels, np.zeros(len(levels))
+    yield levels, np.zeros(len(levels)), ""
     for effect in {e.id: e for e in owners if not e.compliance_of}.values():
         tried = np.array(LEVELS) if effect.completes else FACTORS
         odds = log_odds_of_form(tried) if effect.completes else np.zeros(len(tried))
-        yield np.where(owner == effect.id, tried[:, None], 1.0), odds
+        yield np.where(owner == effect.id, tried[:, None], 1.0), odds, effect.id if effect.completes else ""
 
 
 def log_odds_of_form(level: Array) -> Array:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import log
 from typing import TYPE_CHECKING
@@ -48,6 +48,7 @@ class Study:
         scale: physical value of one scaled unit, (p,).
         apart: rows that stand out and have noise of their own in it (`apart.py`); as_stated: the same with that for
             accidents only (`accidents.py`), None where no row stands out.
+        form: level of the priors of each effect that completes the form of springs, by id.
         kept: remainders beside it that were asked for (`explanation.remainder_of`).
     """
 
@@ -60,12 +61,23 @@ class Study:
     bench: Bench
     apart: tuple[Part, ...] = ()
     as_stated: Study | None = None
+    form: dict[str, float] = field(default_factory=dict)
     kept: dict[object, tuple[object, Remainder]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def to_weigh(self) -> Study:
         """What alternatives are weighed on: there a row that stands out may yet be shown to have a cause, but for accidents."""
         return self.as_stated or self
+
+    @property
+    def log_odds_of_form(self) -> float:
+        """Log odds of the levels of what completes the form of springs, against their usual ones."""
+        return float(log_odds_of_form(np.array(list(self.form.values()))).sum())
+
+    def with_form(self, form: Mapping[str, float]) -> Block:
+        """The columns with other levels of what completes the form of springs; those that it does not have are left as they are."""
+        share = np.array([form.get(o, self.form[o]) / self.form[o] if o in self.form else 1.0 for o in self.owners])
+        return replace(self.base, width=self.base.width * share)
 
     @property
     def observation(self) -> Observation:
@@ -165,7 +177,8 @@ def form_evidence(asked: Study, completed: Study) -> float:
     if len(asked.terms) == len(completed.terms):
         return 0.0
     plain, whole = (s.bench.posterior(s.base).log_evidence for s in (asked, completed))
-    return float(whole - plain - log(np.exp(log_odds_of_form(np.array(LEVELS))).sum()))
+    every = log(np.exp(log_odds_of_form(np.array(LEVELS))).sum())
+    return float(whole + completed.log_odds_of_form - plain - asked.log_odds_of_form - every)
 
 
 def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
@@ -180,12 +193,15 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     bench = Bench(system.b, system.pose.astype(np.int64), believed, rounding)
     block = Block(system.A, system.lower, system.upper, _beside_softening(own, system.parameters, system.scale))
     follows = _going_with(system.parameters)
-    for rows, log_odds in choices([terms[i].effect for i in system.owner]):
+    form: dict[str, float] = {}
+    for rows, log_odds, completing in choices([terms[i].effect for i in system.owner]):
         soft = _softness(bench, block, follows)
         tried = own * rows
         widths = soft * np.array([_beside_softening(w, system.parameters, system.scale) for w in tried])
         best = int(np.argmax(bench.evidence_over_widths(block, widths) + log_odds))
         own, block = tried[best], replace(block, width=widths[best])
+        if completing:
+            form[completing] = LEVELS[best]
     for _ in range(ROUNDS if follows else 0):  # the springs depend a little on what goes with them
         narrow = _beside_softening(own, system.parameters, system.scale)
         block = replace(block, width=_softness(bench, block, follows) * narrow)
@@ -203,6 +219,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
         tuple(system.parameters),
         system.scale,
         Bench(system.b, system.pose.astype(np.int64), believed, rounding),
+        form=form,
     )
 
 

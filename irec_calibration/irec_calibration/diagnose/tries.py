@@ -3,20 +3,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from ..effects import Axes, Evidence
+from ..effects.scene import Scene
+from ..effects.traits import Family as Alike
 from .candidates import Option, Trial, try_option
 from .evidence import Block, Ground
 from .explanation import Explanation, explain, reshaped_again
 from .family import Family
 from .forms import bends, forms_of
 from .naming import refused
+from .priors import LEVELS, log_odds_of_form
 from .readings import by_readings
 from .remainder import grow
 from .rivals import Check
 from .settings import Settings
 from .standing import all_stand
+from .study import Study
+
+LESS_FORM = (0.5, 0.25, 0.125)  # of the level
 
 
 def waiting(current: Explanation, found: Sequence[Option]) -> set[str]:
@@ -97,10 +106,38 @@ def step(
 
 def tried_on(current: Explanation, found: Sequence[Option], beside: Block | None = None) -> list[Trial]:
     """Every effect that a model does not have, on top of it or of more columns, best first."""
-    ground = Ground(current.study.bench, current.study.base if beside is None else beside)
-    open_ = (o.on(current.study) for o in found if o.effect.id not in current.ids)
-    tried = (try_option(ground, o, current.study.ready) for o in open_ if o.tables)
+    study = current.study
+    more = study.base.take([]) if beside is None else beside.take(list(range(study.base.A.shape[1], beside.A.shape[1])))
+    ground = Ground(study.bench, study.base + more)
+    weaker = [(Ground(study.bench, base + more), odds) for base, odds in _with_less_form(study)]
+    open_ = (o.on(study) for o in found if o.effect.id not in current.ids)
+    tried = (_tried(ground, weaker, o, study.ready) for o in open_ if o.tables)
     return sorted(tried, key=lambda t: -t.log_evidence)
+
+
+def _with_less_form(study: Study) -> Iterator[tuple[Block, float]]:
+    """The model with lower levels of what completes the form of its springs, and their log odds over the level that it has.
+
+    Without a soft tool or base the form of springs may have been found so large that it stands for them.
+    """
+    for share in LESS_FORM:
+        form = {effect: level * share for effect, level in study.form.items() if level * share >= min(LEVELS)}
+        if form:
+            odds = log_odds_of_form(np.array([[study.form[e], level] for e, level in form.items()]))
+            yield study.with_form(form), float((odds[:, 1] - odds[:, 0]).sum())
+
+
+def _tried(ground: Ground, weaker: Sequence[tuple[Ground, float]], option: Option, scene: Scene) -> Trial:
+    """An effect on a ground, or on one with less of what completes the form of springs where a spring is likelier there."""
+    best = try_option(ground, option, scene)
+    if option.effect.family is not Alike.SPRING:
+        return best
+    for less, odds in weaker:
+        trial = try_option(less, option, scene)
+        gained = trial.log_evidence + less.log_evidence + odds - ground.log_evidence
+        if gained > best.log_evidence:
+            best = replace(trial, log_evidence=gained)
+    return best
 
 
 def laws_by_themselves(tried: Sequence[Explanation]) -> list[Explanation]:
