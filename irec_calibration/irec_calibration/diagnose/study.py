@@ -75,7 +75,7 @@ class Study:
         return float(log_odds_of_form(np.array(list(self.form.values()))).sum())
 
     def with_form(self, form: Mapping[str, float]) -> Block:
-        """The columns with other levels of what completes the form of springs; those that it does not have are left as they are."""
+        """The columns with other levels of what completes the form of springs; levels that are not given are left as they are."""
         share = np.array([form.get(o, self.form[o]) / self.form[o] if o in self.form else 1.0 for o in self.owners])
         return replace(self.base, width=self.base.width * share)
 

@@ -17,7 +17,7 @@ from .scene import Scene
 from .traits import Family
 
 TYPICAL_OFFSET = 0.03  # m; where a casting or a bearing gives way is a few centimetres off the origin that the description has
-# A drive turns about its own axis. With a link that bends in the plane of the arm, at half its length and by some sixth of what the
+# A drive turns about its own axis. With a link that bends in the plane of the arm, at half its length and by a sixth of what the
 # drive gives way, the place is this share of the way to the next axis; what holds a drive is off by a centimetre at least.
 SHARE_OF_LINK, LEAST_OFFSET = 0.08, 0.01
 ALONG = "z"  # the joint's own axis, in names of parameters
