@@ -12,6 +12,7 @@ from ..effects.formula import in_words
 from ..identification.noise import InferredNoise
 from ..identification.provenance import too_few
 from ..lengths import length
+from ..robot.ratings import rating_known
 from ..typing import Json
 from .assessment import Assessment
 from .expected_error import ExpectedError
@@ -62,10 +63,13 @@ def verdict_of(
         parts.append(f"Nothing shows any other cause than noise{' and what every robot has' if assessment.usual else ''}.")
     parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
     if _by_limit_only(assessment):
-        parts.append(
-            "What is soft over so little torque is play by one torque limit of the drive and a soft gear by another, and the"
-            " robot description states none (effort)."
-        )
+        if rating_known(study.session.robot).all():
+            parts.append("The gear is soft over just the range of torque at which play ends and a soft gear begins.")
+        else:
+            parts.append(
+                "What is soft over so little torque is play by one torque limit of the drive and a soft gear by another, and the"
+                " robot description states none (effort)."
+            )
     evidence = assessment.evidence
     if assessment.status == "unexplained" and not evidence:
         evidence = ("held_out_structure",)  # what either effect describes, and needed to be taken in

@@ -11,7 +11,7 @@ from ..robot.ratings import rated_torque
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .live import ColumnLaw, LiveForm, Tick, drives
-from .scales import comes_near_zero, may_be_wide
+from .scales import at_border, comes_near_zero, may_be_wide
 from .scene import Scene
 from .traits import Ageing, Family
 
@@ -76,7 +76,8 @@ class JointBacklash(Effect):
     def also_called(self, scene: Scene, theta: Array) -> str:
         driven = np.flatnonzero(scene.driven)
         soft = theta[-2] * rated_torque(scene.robot)[driven]
-        return "joint_stiffening" if may_be_wide(scene, driven, theta[: len(driven)], soft, WIDEST).any() else ""
+        wide = may_be_wide(scene, driven, theta[: len(driven)], soft, WIDEST).any()
+        return "joint_stiffening" if wide or at_border(theta[-2], WIDEST) else ""
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         return tuple(

@@ -12,7 +12,7 @@ from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .joint_backlash import WIDEST
 from .live import ColumnLaw, LiveForm, Springs, Tick, drives
-from .scales import comes_near_zero, may_be_wide, typical_compliance
+from .scales import at_border, comes_near_zero, may_be_wide, typical_compliance
 from .scene import Scene
 from .traits import Family
 
@@ -77,7 +77,8 @@ class JointStiffening(Effect):
     def also_called(self, scene: Scene, theta: Array) -> str:
         driven = np.flatnonzero(scene.driven)
         soft = theta[-2] * rated_torque(scene.robot)[driven]
-        return "" if may_be_wide(scene, driven, theta[:-2], soft, WIDEST).all() else "joint_backlash"
+        wide = may_be_wide(scene, driven, theta[:-2], soft, WIDEST).all()
+        return "" if wide and not at_border(theta[-2], WIDEST) else "joint_backlash"
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray:
         return np.append(comes_near_zero(scene, theta[-2] * rated_torque(scene.robot))[scene.driven], (True, True))

@@ -20,6 +20,7 @@ LAG_OVER_REPEATABILITY = 5.0  # what the side from which a joint came moves the 
 USUAL_SHARE = 0.03  # of the deflection, RMS; chosen: the most that tools and floors without any cause were found to give way by
 COUNTS = 0.1  # of the largest size of a law in any axis: less says nothing of what it is
 POSTURES = 100
+AT_BORDER = 0.02
 NEAR = 1.5  # times the range over which a law of torque bends: tanh is at 0.9 there
 
 
@@ -81,6 +82,12 @@ def may_be_wide(scene: Scene, axes: IntArray, size: Array, soft: Array, share: f
     has_it = (size != 0.0) & (np.abs(size) >= COUNTS * np.abs(size).max(initial=0.0))
     asked = has_it & ~rating_known(scene.robot)[axes]
     return np.asarray(soft[asked] > share * largest[asked])
+
+
+def at_border(share: float, border: float) -> bool:
+    """Whether the range over which a gear is soft ends where play ends and a soft gear begins: a law came to it as to a bound, and
+    the one on the other side would do as well."""
+    return abs(share - border) <= AT_BORDER * border
 
 
 def comes_near_zero(scene: Scene, soft: Array) -> BoolArray:

@@ -184,6 +184,17 @@ def test_a_light_robot_may_stand_on_what_is_as_soft_as_it_is_light():
     assert softest_likely(NO_MASSES) == 2e-6
 
 
+def test_a_law_that_came_to_the_border_between_play_and_a_soft_gear_may_be_either():
+    scene = scene_of(session(poses=8))
+    said = []
+    for name, size, range_of in (("joint_backlash", "b_1", "w"), ("joint_stiffening", "a_1", "x_0")):
+        effect = find_effect(name)
+        for share in (0.02, 0.03, 0.045):
+            values = {size: 1e-4, range_of: share}
+            said.append(effect.also_called(scene, np.array([values.get(p.name, 0.0) for p in effect.parameters(scene)])))
+    assert said == ["", "joint_stiffening", "", "", "joint_backlash", ""]
+
+
 @pytest.mark.parametrize(
     ("effort", "soft", "called"),
     [
