@@ -85,8 +85,8 @@ def may_be_wide(scene: Scene, axes: IntArray, size: Array, soft: Array, share: f
 
 
 def at_border(share: float, border: float) -> bool:
-    """Whether the range over which a gear is soft is where play ends and a soft gear begins: a law came to it as to a bound, and the
-    one on the other side would do as well."""
+    """Whether a gear is soft over just the range at which play ends and a soft gear begins: a law came to it as to a bound, and
+    the one on the other side would do as well."""
     return abs(share - border) <= AT_BORDER * border
 
 
