@@ -19,6 +19,7 @@ from .study import Study
 
 LASTING = SETTINGS.lasting
 LEVELS = LASTING.level_m * 2.0 ** np.arange(13)  # of the scatter, equally likely beforehand
+TIMES = 12  # other times at which a step is tried
 KNOWN = 1e9  # equations that a level counts for which is given
 POSE_LEVELS = np.array([0.0, 1.0 / 3.0, 1.0, 3.0])  # multiples of `pose_m`
 
@@ -55,11 +56,27 @@ def lasts(study: Study, shift: Term) -> float:
     ground = np.concatenate([np.tile(np.eye(3), (len(rows), 1, 1)), usually_beyond(study, rows)], axis=2)
     again = _same_pose(session.pose[rows])
     once, stays, turns = (_beside_poses(mean - step, ground, again) for step in (0.0 * in_base, in_base, with_tool))
+    if stays <= max(once, turns):
+        return float(stays - max(once, turns))
     # a station that is bumped tilts, too: about where it was bumped, of which the step itself knows nothing
     lever = scene.p_observed[rows] - scene.p_observed[here]
     tilts = LASTING.tilt_rad * after[:, None, None] * np.cross(np.eye(3)[None], lever[:, None]).swapaxes(1, 2)
     tilted = _beside_poses(mean - in_base, np.concatenate([ground, tilts], axis=2), again)
-    return float(np.logaddexp(stays, tilted) - np.log(2.0) - max(once, turns))
+    elsewhere = max(_beside_poses(mean - late[:, None] * d, ground, again) for late in _later(begin[used], moment))
+    return float(np.logaddexp(stays, tilted) - np.log(2.0) - max(once, turns, elsewhere))
+
+
+def _later(begin: Array, moment: float) -> list[Array]:
+    """Which readings would have a step that came at other times, 1 or 0, (rows,) each; the first for none.
+
+    What smooth functions do not fit of absolute readings may look like a step anywhere; a true one is likeliest in its time.
+    """
+    order = np.sort(begin)
+    between = 0.5 * (order[1:] + order[:-1])
+    mine = np.searchsorted(order, moment)  # readings before it
+    there = np.delete(np.arange(len(between)), [i for i in (mine - 1,) if 0 <= i < len(between)])
+    some = there[np.unique(np.linspace(0, len(there) - 1, min(TIMES, len(there))).astype(int))] if len(there) else there
+    return [np.zeros(len(begin)), *((begin > between[i]).astype(float) for i in some)]
 
 
 def _same_pose(pose: IntArray) -> Array:
