@@ -19,7 +19,7 @@ from .study import Study
 
 LASTING = SETTINGS.lasting
 LEVELS = LASTING.level_m * 2.0 ** np.arange(13)  # of the scatter, equally likely beforehand
-TIMES = 12  # other times at which a step is tried
+TIMES, NEXT = 12, 2  # other times at which a step is tried; readings next to it that a smooth function may make up for
 KNOWN = 1e9  # equations that a level counts for which is given
 POSE_LEVELS = np.array([0.0, 1.0 / 3.0, 1.0, 3.0])  # multiples of `pose_m`
 
@@ -73,8 +73,8 @@ def _later(begin: Array, moment: float) -> list[Array]:
     """
     order = np.sort(begin)
     between = 0.5 * (order[1:] + order[:-1])
-    mine = np.searchsorted(order, moment)  # readings before it
-    there = np.delete(np.arange(len(between)), [i for i in (mine - 1,) if 0 <= i < len(between)])
+    mine = int(np.searchsorted(order, moment)) - 1  # of `between`
+    there = np.array([i for i in range(len(between)) if abs(i - mine) > NEXT], dtype=int)
     some = there[np.unique(np.linspace(0, len(there) - 1, min(TIMES, len(there))).astype(int))] if len(there) else there
     return [np.zeros(len(begin)), *((begin > between[i]).astype(float) for i in some)]
 
