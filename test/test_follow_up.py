@@ -29,7 +29,7 @@ def verdict(session: Path, out: Path) -> dict:
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("follow-up") / "first"
-    assert irec_sim(["session", *ROBOT, "--poses", "10", "--seed", "2", "-o", str(folder)]) == 0
+    assert irec_sim(["session", *ROBOT, "--poses", "8", "--seed", "4", "-o", str(folder)]) == 0
     return folder
 
 

@@ -73,7 +73,7 @@ def axis_4_softer_in_four_steps(scene: Scene) -> Array:
 
 def axis_3_stiffens_a_little(scene: Scene) -> Array:
     torque, gravity = scene.tau[:, 2], scene.tau_gravity[:, 2]
-    return turned(scene, 3, -1.2e-14 * ((torque + gravity) ** 3 - gravity**3))
+    return turned(scene, 3, -1.6e-14 * ((torque + gravity) ** 3 - gravity**3))
 
 
 def axis_1_lags_and_axis_5_a_little(scene: Scene) -> Array:

@@ -27,9 +27,9 @@ def test_a_verdict_that_gives_one_of_several_says_what_shows_it_and_what_it_depe
 
 
 def test_the_rung_of_one_of_several_names_them_all(ladder):
-    rung = ladder.rungs[-1]
+    rung = next(r for r in ladder.rungs if r.one_of)
     assert (rung.added, rung.named, rung.one_of) == ("joint_backlash", False, EITHER)
-    step = ladder.to_json()["steps"][-1]
+    step = next(s for s in ladder.to_json()["steps"] if s["one_of"])
     assert (step["named"], step["one_of"]) == (False, list(EITHER))
 
 

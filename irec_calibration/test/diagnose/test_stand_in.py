@@ -35,13 +35,12 @@ def missed(model: Model) -> float:
 def test_what_cannot_be_named_stands_in_for_what_is_missing_and_is_no_diagnosis(ladder):
     verdict = ladder.before.verdict
     assert (verdict.status, verdict.effects) == ("unexplained", ())
-    effect, law = ladder.rungs[-2:]
+    effect = ladder.rungs[-1]
     assert (effect.added, effect.named) == ("joint_backlash", False)
-    assert all(r.named for r in ladder.rungs[:-2])
-    assert law.formula.startswith("link 5") and not law.named  # where the bearing is
+    assert all(r.named for r in ladder.rungs[:-1])
     assert "which is no diagnosis" in verdict.text
     assert [s["named"] for s in ladder.to_json()["steps"]] == [r.named for r in ladder.rungs]
-    assert ladder.before.cv_rms_after_m == law.cv_rms_m < effect.cv_rms_m < ladder.rungs[-3].cv_rms_m
+    assert ladder.before.cv_rms_after_m == effect.cv_rms_m < ladder.rungs[-2].cv_rms_m
 
 
 def test_neither_terminal_nor_report_passes_off_as_a_diagnosis_what_stands_in(ladder, tmp_path):
@@ -50,14 +49,13 @@ def test_neither_terminal_nor_report_passes_off_as_a_diagnosis_what_stands_in(la
 
     assert "+ joint_backlash (no name)" in in_words(ladder)
     page = write_ladder_report(ladder, session(play_in_the_bearing_of_axis_5), tmp_path)[0].read_text(encoding="utf-8")
-    assert "the model has joint backlash and the law" in page and "which is no diagnosis" in page
+    assert "the model has joint backlash" in page and "which is no diagnosis" in page
     assert "Adding joint backlash" not in page
 
 
 def test_a_model_with_what_stands_in_predicts_other_poses_better(ladder):
-    without, with_effect, with_law = (missed(r.model) for r in ladder.rungs[-3:])
-    assert with_effect < 0.95 * without
-    assert with_law < 0.95 * with_effect
+    without, with_effect = (missed(r.model) for r in ladder.rungs[-2:])
+    assert with_effect < 0.8 * without
 
 
 def read_with_gain(loss_per_kilonewton: float, hidden: Callable[[Scene], Array] | None = None) -> Session:
@@ -92,9 +90,9 @@ def test_different_gains_of_a_force_sensor_are_named_all_the_same():
 
 
 def on_a_soft_pedestal(scene: Scene) -> Array:
-    """The marker's displacement where the base tilts by 15 nrad/(N m) about both of its horizontal axes."""
+    """The marker's displacement where the base tilts by 25 nrad/(N m) about both of its horizontal axes."""
     moment = np.cross(scene.p_observed, scene.force) * np.array([1.0, 1.0, 0.0])
-    return np.cross(1.5e-8 * moment, scene.p_observed)
+    return np.cross(2.5e-8 * moment, scene.p_observed)
 
 
 def test_an_effect_that_is_likelier_there_than_not_predicts_without_being_named():

@@ -32,7 +32,7 @@ def test_arrows_before_and_after_are_those_of_the_same_samples(tmp_path, monkeyp
 
     monkeypatch.setattr(page, "compare", compare)
     monkeypatch.setattr(page.samples, "residual_maps", residual_maps)
-    rungs = [SimpleNamespace(model=SimpleNamespace(terms=name, sag_share=1.0)) for name in LEFT_OUT]
+    rungs = [SimpleNamespace(model=SimpleNamespace(terms=name, sag_share=1.0, carried=None)) for name in LEFT_OUT]
     (section,) = page._before_after(SimpleNamespace(rungs=rungs), data, tmp_path)  # type: ignore[arg-type]
     rows = np.delete(every, [2, 7, 9])
     assert np.array_equal(drawn["p_tcp"], data.p_tcp_in_base[rows]) and np.array_equal(drawn["poses"], data.pose[rows])
