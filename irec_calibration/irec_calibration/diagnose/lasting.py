@@ -19,7 +19,7 @@ from .study import Study
 
 LASTING = SETTINGS.lasting
 LEVELS = LASTING.level_m * 2.0 ** np.arange(13)  # of the scatter, equally likely beforehand
-TIMES, NEXT = 12, 2  # other times at which a step is tried; readings next to it that a smooth function may make up for
+TIMES, NEXT = 6, 2  # other times at which a step is tried; readings next to it that a smooth function may make up for
 KNOWN = 1e9  # equations that a level counts for which is given
 POSE_LEVELS = np.array([0.0, 1.0 / 3.0, 1.0, 3.0])  # multiples of `pose_m`
 
@@ -55,19 +55,27 @@ def lasts(study: Study, shift: Term) -> float:
     # the station may stand anywhere: in metres
     ground = np.concatenate([np.tile(np.eye(3), (len(rows), 1, 1)), usually_beyond(study, rows)], axis=2)
     again = _same_pose(session.pose[rows])
-    once, stays, turns = (_beside_poses(mean - step, ground, again) for step in (0.0 * in_base, in_base, with_tool))
-    if stays <= max(once, turns):
-        return float(stays - max(once, turns))
+    once, turns = (_beside_poses(mean - step, ground, again) for step in (0.0 * in_base, with_tool))
     # a station that is bumped tilts, too: about where it was bumped, of which the step itself knows nothing
     lever = scene.p_observed[rows] - scene.p_observed[here]
-    tilts = LASTING.tilt_rad * after[:, None, None] * np.cross(np.eye(3)[None], lever[:, None]).swapaxes(1, 2)
-    tilted = _beside_poses(mean - in_base, np.concatenate([ground, tilts], axis=2), again)
-    elsewhere = max(_beside_poses(mean - late[:, None] * d, ground, again) for late in _later(begin[used], moment))
-    return float(np.logaddexp(stays, tilted) - np.log(2.0) - max(once, turns, elsewhere))
+    tilts = LASTING.tilt_rad * np.cross(np.eye(3)[None], lever[:, None]).swapaxes(1, 2)
+
+    def carried(late: Array) -> float:
+        """Log evidence of a step, straight or with a tilt, that the readings marked by 1 have, (rows,)."""
+        straight = _beside_poses(mean - late[:, None] * d, ground, again)
+        tilted = np.concatenate([ground, late[:, None, None] * tilts], axis=2)
+        return float(np.logaddexp(straight, _beside_poses(mean - late[:, None] * d, tilted, again)) - np.log(2.0))
+
+    mine, others = carried(after.astype(float)), max(once, turns)
+    for late in _later(begin[used], moment):
+        if mine <= others:
+            break
+        others = max(others, carried(late))
+    return mine - others
 
 
 def _later(begin: Array, moment: float) -> list[Array]:
-    """Which readings would have a step that came at other times, 1 or 0, (rows,) each; the first for none.
+    """Which readings would have a step that came at other times, 1 or 0, (rows,) each.
 
     What smooth functions do not fit of absolute readings may look like a step anywhere; a true one is likeliest in its time.
     """
@@ -76,7 +84,7 @@ def _later(begin: Array, moment: float) -> list[Array]:
     mine = int(np.searchsorted(order, moment)) - 1  # of `between`
     there = np.array([i for i in range(len(between)) if abs(i - mine) > NEXT], dtype=int)
     some = there[np.unique(np.linspace(0, len(there) - 1, min(TIMES, len(there))).astype(int))] if len(there) else there
-    return [np.zeros(len(begin)), *((begin > between[i]).astype(float) for i in some)]
+    return [(begin > between[i]).astype(float) for i in some]
 
 
 def _same_pose(pose: IntArray) -> Array:
