@@ -18,6 +18,7 @@ from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
 from irec_calibration.recertification.store import Store
 from irec_calibration.recording import BagReader
+from irec_ros.results import GoalResult, is_unknown
 from stack import CELL, START, NotReached, Stack
 from table import Row
 
@@ -44,7 +45,7 @@ class ProcedureSide:
         self.session: Path | None = None
         self.runs = 0
         self._goal: Any = None
-        self._result: Any = None
+        self._answer: GoalResult | None = None
         self._store = Store(stack.folder / "calibrations", read_cell(CELL).serial)
         self._kept = stack.folder / "poses.yaml"
         poses = yaml.safe_load((CELL.parent / "afp_poses.yaml").read_text())
@@ -102,18 +103,20 @@ class ProcedureSide:
             self.session = s.folder / f"run_{self.number + 1}.mcap"
             self.session.unlink(missing_ok=True)
         s.mark()
-        self._result = None
+        self._answer = None
         goal = RunProcedure.Goal(poses_path=str(self._kept), session_path=str(self.session), resume=resume)
         sent = s.action.send_goal_async(goal)
         s.until(sent.done, "the goal is answered", 30.0)
         self._goal = sent.result()
         if not self._goal.accepted:
             raise NotReached("the run was refused")
-        self._goal.get_result_async().add_done_callback(self._on_result)
+        self._answer = GoalResult(self._goal)
 
-    def _on_result(self, future: Any) -> None:
-        if not future.cancelled() and future.exception() is None and future.result() is not None:
-            self._result = future.result().result
+    @property
+    def _result(self) -> Any:
+        """Of the run under way; None until it has ended."""
+        answer = None if self._answer is None else self._answer.poll()
+        return None if answer is None or is_unknown(answer) else answer.result
 
     def _inject(self, fault: Fault, phase: str) -> None:
         s = self.stack

@@ -23,6 +23,7 @@ class RosLink:
         try:
             import rclpy
             from irec_ros.guard import GuardedNode
+            from irec_ros.results import GoalResult, is_unknown
             from rclpy.action import ActionClient
             from rclpy.executors import SingleThreadedExecutor
             from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -38,6 +39,8 @@ class RosLink:
         self.progress: dict[str, Any] | None = None
         self.preconditions: list[str] = []  # of the run under way or of the last one, as far as told, one line each
         self._goal: Any = None
+        self._result: Any = None
+        self._result_of, self._is_unknown = GoalResult, is_unknown
         self._asked = False  # from before the answer of calibration_node on: feedback may come earlier than it
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
@@ -72,7 +75,7 @@ class RosLink:
         try:
             result = await self._run(goal)
         finally:
-            self._goal, self.progress, self._asked = None, None, False
+            self._goal, self._result, self.progress, self._asked = None, None, None, False
         names = ("success", "verdict", "text", "activated", "calibration", "model_path", "session_path", "certificate_path")
         return {n: getattr(result, n) for n in names}
 
@@ -85,8 +88,16 @@ class RosLink:
         handle = await _done(self._recertify.send_goal_async(goal, feedback_callback=self._on_feedback), ANSWER, "irec/recertify")
         if not handle.accepted:
             raise IrecError("calibration_node refused to start")
-        self._goal = handle
-        return (await _done(handle.get_result_async(), None, "irec/recertify")).result
+        self._goal, self._result = handle, self._result_of(handle)
+        there = time.monotonic()
+        while (answer := self._result.poll()) is None:
+            there = time.monotonic() if self._recertify.server_is_ready() else there
+            if time.monotonic() - there > ANSWER:
+                raise IrecError("calibration_node has gone in the middle of the run; what was measured is kept")
+            await asyncio.sleep(POLL)
+        if self._is_unknown(answer):
+            raise IrecError("calibration_node was started anew in the middle of the run; what was measured is kept")
+        return answer.result
 
     async def stop(self) -> str:
         """End the run in order: the robot leaves the contact by itself, and the run can be resumed."""
@@ -126,6 +137,8 @@ class RosLink:
 
     def _on_feedback(self, message: Any) -> None:
         f = message.feedback
+        if self._result is not None:
+            self._result.heard()
         told = told_lines(f.message)
         if told:
             self.preconditions = [*self.preconditions, *told]
@@ -154,10 +167,10 @@ class RosLink:
         self._context.try_shutdown()
 
 
-async def _done(future: Any, timeout: float | None, name: str) -> Any:
+async def _done(future: Any, timeout: float, name: str) -> Any:
     begun = time.monotonic()
     while not future.done():
-        if timeout is not None and time.monotonic() - begun > timeout:
+        if time.monotonic() - begun > timeout:
             raise IrecError(f"no answer on {name} within {timeout:.0f} s")
         await asyncio.sleep(POLL)
     return future.result()

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from action_msgs.srv import CancelGoal
+from irec_ros.results import GoalResult, is_unknown
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -155,36 +156,38 @@ class RosCell:
         if handle is None or not handle.accepted:
             by = f" (it records to {self._recording})" if self._recording else ""
             raise IrecError(f"procedure_node refused to start: another run is under way{by}; end that one first")
-        done = handle.get_result_async()
-        pose, decided = 0, False
-        while not done.done():
+        result = GoalResult(handle)
+        pose = 0
+        while (answer := result.poll()) is None:
             if not self._node.context.ok():
                 raise IrecError("the node is being shut down")
             if why := self._cancelled():
-                self._end(handle, done)
+                self._end(handle, result)
                 raise Cancelled(f"{why}; the robot has left the contact, what was measured is kept")
             if not self._procedure.server_is_ready():
                 raise IrecError("procedure_node has gone in the middle of the run")
             if news:
+                result.heard()
                 last = news[-1]
                 left = last.remaining.sec + 1e-9 * last.remaining.nanosec
                 self._report(self._stage, f"pose {last.pose} of {last.poses}", last.pose, last.poses, left)
                 if last.pose > pose:
                     pose = last.pose
                     if pose > 1 and enough():
-                        decided = True
-                        self._end(handle, done)
-                        break
+                        self._end(handle, result)
+                        return ""
                 news.clear()
             time.sleep(0.1)
-        result = done.result().result if done.done() else None
-        if decided or (result is not None and result.success):
-            return ""
-        return "no answer from procedure_node" if result is None else str(result.message)
+        if is_unknown(answer):
+            return "procedure_node was started anew in the middle of the run"
+        return "" if answer.result.success else str(answer.result.message)
 
-    def _end(self, handle: Any, done: Any) -> None:
+    def _end(self, handle: Any, result: GoalResult) -> None:
+        """Cancel, and wait until the robot has left the contact."""
         handle.cancel_goal_async()
-        waited(done, CANCEL_WAIT)
+        begun = time.monotonic()
+        while result.poll() is None and time.monotonic() - begun < CANCEL_WAIT:
+            time.sleep(0.1)
 
     def _stop_if_cancelled(self) -> None:
         if why := self._cancelled():
