@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .explanation import Explanation, everywhere, in_one_pose, shown_by_readings, without
+from .explanation import Explanation, everywhere, in_one_pose, remainder_of, shown_by_readings, without
 from .family import Family
 from .form_errors import evidence_beside, feigned
-from .forms import bends, courses, has_form_of
+from .forms import Forms, bends, courses, forms_of, has_form_of
 from .naming import needed, odds_of
 from .readings import against
 from .remainder import Part
@@ -69,6 +69,8 @@ def standing(start: Explanation, one: Explanation, family: Family, settings: Set
         else:
             most = np.inf
         weak = weak or [i for i in one.ids if against(one.study, one.term(i))]  # where others' names have moved its values
+        if not weak and not _together(start, one, family, settings):
+            weak = list(one.ids)
         if not weak:
             return one, evidence
         one = bare[min(weak, key=lambda i: evidence[i])]
@@ -111,6 +113,26 @@ def _weak(
         or _mends(start, one, bare[i], i, family, settings)
         or _part_of_another(one, bare[i], i, settings)
     ]
+
+
+def _together(start: Explanation, one: Explanation, family: Family, settings: Settings) -> bool:
+    """Whether several names have together, over structures in the place of all of them, what each of them needs by itself.
+
+    Two effects may share what one unknown cause does; each is then needed beside the other, and each has evidence.
+    """
+    ids = [i for i in one.ids if not in_one_pose(one, i) and not shown_by_readings(one, i)]
+    if len(ids) < 2:
+        return True
+    scene = one.study.ready
+    own = [forms_of(one.term(i), scene) for i in ids]
+    forms = Forms(
+        frozenset().union(*(f.axes for f in own)), any(f.drifts for f in own), False, frozenset().union(*(f.turns for f in own)),
+        frozenset().union(*(f.steps for f in own)), frozenset().union(*(f.angles for f in own)),
+    )  # fmt: skip
+    known = one.remainder.parts
+    instead = remainder_of(start.study, family, known, forms).gained
+    left = remainder_of(one.study, family, known, forms).gained
+    return one.named - start.named + left - instead >= sum(needed(one, i, settings) for i in ids)
 
 
 def outweighed(

@@ -23,7 +23,7 @@ from ..model import Term, apply_wrench_effects, elastic_response, mover_of, with
 from ..session.data import Session
 from ..typing import Array
 from .evidence import Bench, Block, NoisePrior
-from .priors import LEVELS, choices, log_odds_of_form
+from .priors import LEVELS, choices, level_key, log_odds_of_form
 from .settings import SETTINGS
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Study:
         scale: physical value of one scaled unit, (p,).
         apart: rows that stand out and have noise of their own in it (`apart.py`); as_stated: the same with that for
             accidents only (`accidents.py`), None where no row stands out.
-        form: level of the priors of each effect that completes the form of springs, by id.
+        form: level of the priors of what completes the form of springs, by `level_key`.
         kept: remainders beside it that were asked for (`explanation.remainder_of`).
     """
 
@@ -76,7 +76,8 @@ class Study:
 
     def with_form(self, form: Mapping[str, float]) -> Block:
         """The columns with other levels of what completes the form of springs; levels that are not given are left as they are."""
-        share = np.array([form.get(o, self.form[o]) / self.form[o] if o in self.form else 1.0 for o in self.owners])
+        keys = [level_key(o, p.level) for o, p in zip(self.owners, self.parameters, strict=True)]
+        share = np.array([form.get(k, self.form[k]) / self.form[k] if k in self.form else 1.0 for k in keys])
         return replace(self.base, width=self.base.width * share)
 
     @property
@@ -177,7 +178,7 @@ def form_evidence(asked: Study, completed: Study) -> float:
     if len(asked.terms) == len(completed.terms):
         return 0.0
     plain, whole = (s.bench.posterior(s.base).log_evidence for s in (asked, completed))
-    every = log(np.exp(log_odds_of_form(np.array(LEVELS))).sum())
+    every = log(np.exp(log_odds_of_form(np.array(LEVELS))).sum()) * max(len(completed.form), 1)
     return float(whole + completed.log_odds_of_form - plain - asked.log_odds_of_form - every)
 
 
@@ -194,7 +195,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     block = Block(system.A, system.lower, system.upper, _beside_softening(own, system.parameters, system.scale))
     follows = _going_with(system.parameters)
     form: dict[str, float] = {}
-    for rows, log_odds, completing in choices([terms[i].effect for i in system.owner]):
+    for rows, log_odds, completing in choices([terms[i].effect for i in system.owner], [p.level for p in system.parameters]):
         soft = _softness(bench, block, follows)
         tried = own * rows
         widths = soft * np.array([_beside_softening(w, system.parameters, system.scale) for w in tried])

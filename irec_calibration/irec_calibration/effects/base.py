@@ -51,6 +51,8 @@ class Parameter:
             refers to the springs (creep, hoses) refers to the loaded axis.
         goes_with: compliance (`c_2a`) that this parameter is proportional to; `width` is for one as soft as its scale, and the
             prior is as much wider or narrower as the session shows that compliance.
+        level: of an effect that completes the form of springs: those with the same text are large or small together, and the
+            session says how large they are.
     """
 
     name: str
@@ -69,6 +71,7 @@ class Parameter:
     first: bool = False
     takes_from: str = ""
     goes_with: str = ""
+    level: str = ""
 
     @property
     def prior_width(self) -> float:

@@ -49,6 +49,7 @@ class BendingPlace(Effect):
             Parameter(
                 f"m_{k + 1}{axis}{e}", "m/(N m)", float(far[axis][k]), plausible=(-3.0 * float(soft[k]), 3.0 * float(soft[k])),
                 group=f"axis {k + 1}", axis=k, goes_with=f"c_{k + 1}{axis if axis != ALONG else ''}",
+                level="in the plane" if axis == ALONG else "across",
             )
             for k, axis, e in _springs(scene)
         )  # fmt: skip

@@ -68,11 +68,18 @@ def test_the_prior_of_a_springs_place_goes_with_how_soft_the_spring_is(fits):
     at = {p.name: i for i, p in enumerate(study.parameters)}
     A, x = study.base.A, study.bench.posterior(study.base).x
     variance = np.linalg.inv(A.T @ A + np.diag(study.base.width**-2.0)).diagonal()
-    places = [(i, at[p.goes_with]) for i, p in enumerate(study.parameters) if p.goes_with]
-    assert len(places) == 36  # two for each of three springs of a joint
-    level = np.array([study.base.width[i] / np.hypot(x[j], np.sqrt(variance[j])) for i, j in places])
-    assert level == pytest.approx(np.full(36, np.median(level)), rel=0.05)
-    assert min(abs(np.median(level) / v - 1.0) for v in LEVELS) < 0.1
+    for group, count in (("across", 24), ("in the plane", 12)):  # two for each of three springs of a joint
+        places = [(i, at[p.goes_with]) for i, p in enumerate(study.parameters) if p.level == group]
+        assert len(places) == count
+        level = np.array([study.base.width[i] / np.hypot(x[j], np.sqrt(variance[j])) for i, j in places])
+        assert level == pytest.approx(np.full(count, np.median(level)), rel=0.05)
+        assert min(abs(np.median(level) / v - 1.0) for v in LEVELS) < 0.1
+
+
+def test_links_that_bend_only_across_the_plane_of_the_arm_leave_the_places_of_the_drives_where_they_are(fits):
+    form = fits[1].form
+    assert form["bending_place/across"] >= 1.0
+    assert form["bending_place/in the plane"] == min(LEVELS)
 
 
 def test_a_model_with_the_place_of_bending_predicts_a_robot_whose_springs_sit_beside_the_joints(fits):

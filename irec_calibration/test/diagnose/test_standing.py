@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from irec_calibration.diagnose import build, standing
+from irec_calibration.diagnose.forms import NO_FORMS
 from irec_calibration.diagnose.rivals import Rivals
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.effects import Parameter, find_effect
@@ -162,3 +163,22 @@ def test_a_drift_beside_a_load_that_goes_with_the_same_temperature_is_no_drift(
     )
     bare: Any = SimpleNamespace(named=0.0)
     assert standing._part_of_another(one, bare, "thermal_drift", SETTINGS) == falls
+
+
+@pytest.mark.usefixtures("needs_six_and_a_half")
+@pytest.mark.parametrize(("structures", "stand"), [(283.5, False), (250.0, True)])
+def test_two_names_need_together_what_each_of_them_needs_over_structures_in_the_place_of_both(
+    monkeypatch: pytest.MonkeyPatch, structures: float, stand: bool
+) -> None:
+    """A tool that slides up its taper was called a hose and a gain error, each needed beside the other, by 7.6 nats."""
+    for name in ("in_one_pose", "shown_by_readings"):
+        monkeypatch.setattr(standing, name, lambda *_: 0.0)
+    monkeypatch.setattr(standing, "needed", lambda *_: 6.5)
+    monkeypatch.setattr(standing, "forms_of", lambda *_: NO_FORMS)
+    start: Any = SimpleNamespace(named=0.0, study="start")
+    one: Any = SimpleNamespace(
+        named=291.1, ids=("sensor_gain", "external_force"), term=lambda _: None, remainder=SimpleNamespace(parts=()),
+        study=SimpleNamespace(ready=None),
+    )  # fmt: skip
+    monkeypatch.setattr(standing, "remainder_of", lambda s, *_: SimpleNamespace(gained=structures if s == "start" else 0.0))
+    assert standing._together(start, one, None, SETTINGS) == stand  # type: ignore[arg-type]
