@@ -246,6 +246,7 @@ class Robot:
             for i, j in enumerate(self._joints):
                 mass[row, i] = data.mass[j]
                 arm[row, i] = R_base.T @ (data.oMi[j].rotation @ data.com[j])
+        arm[mass == 0.0] = 0.0  # without any mass there is no centre of it: Pinocchio's is not a number
         force = mass[:, :, None] * g
         moment = np.cross(arm, force)
         return force[index], moment[index]

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -42,6 +44,16 @@ def test_gravity_torque_is_minus_the_holding_torque_of_the_drives(q):
     model = pin.buildModelFromXML(urdf())
     holding = pin.computeGeneralizedGravity(model, model.createData(), q)
     np.testing.assert_allclose(ROBOT.gravity_torque(q)[0], -holding, atol=1e-8 * np.abs(holding).max())
+
+
+@given(ANGLES)
+@settings(max_examples=10, deadline=None)
+def test_a_description_without_masses_weighs_nothing_but_what_it_carries(q):
+    """Of nothing there is no centre of mass: Pinocchio's is not a number."""
+    bare, tool = Robot(re.sub("<inertial>.*?</inertial>", "", urdf())), Payload(50.0, (0, 0, 0.1))
+    np.testing.assert_array_equal(bare.gravity_torque(q), np.zeros((1, 6)))
+    added = ROBOT.gravity_torque(q, payload=tool) - ROBOT.gravity_torque(q)
+    np.testing.assert_allclose(bare.gravity_torque(q, payload=tool), added, atol=1e-8)
 
 
 def test_payload_adds_its_weight_to_every_axis_below():
