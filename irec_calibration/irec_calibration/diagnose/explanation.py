@@ -186,7 +186,8 @@ def implausible(one: Explanation, effect_id: str) -> str:
 
 
 def usual(one: Explanation, effect_id: str) -> bool:
-    """Whether an added effect is no larger than in every robot: it is part of the model and no cause."""
+    """Whether an added effect is not surely larger, by one standard error, than in every robot: it is part of the model and no
+    cause."""
     study = one.study
     if study.ready.kind not in one.term(effect_id).effect.usual_in:
         return False
@@ -194,10 +195,14 @@ def usual(one: Explanation, effect_id: str) -> bool:
     mine = displacements([t for t in study.terms if t.effect.id == effect_id], scene, prepared(study.terms, scene))
     # as differences show it: a station that is turned moves what is read at a reference by centimetres
     whole = float((observation.of(total_displacement(study.terms, scene)) ** 2).sum())
-    own = sum(float((observation.of(d) ** 2).sum()) for d in mine.values())
+    moved = [observation.of(d) for d in mine.values()]
+    own = sum(float((u**2).sum()) for u in moved)
+    # a share that few readings show is known roughly: by one in as many as its displacement has standard deviations of noise
+    seen = sum(float((observation.whiten(u) ** 2).sum()) for u in moved)
+    surely = max(1.0 - 1.0 / sqrt(max(seen, 1e-300)), 0.0)
     known_only = one.term(effect_id).effect.usual_by_known
     values = {n: e.value for n, e in one.term(effect_id).estimates.items() if SURELY * e.se <= abs(e.value) or not known_only}
-    return one.term(effect_id).effect.is_usual(values, sqrt(own / max(whole, 1e-300)))
+    return one.term(effect_id).effect.is_usual(values, surely * sqrt(own / max(whole, 1e-300)))
 
 
 def everywhere(one: Explanation, effect_id: str) -> bool:

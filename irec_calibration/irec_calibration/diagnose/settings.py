@@ -226,6 +226,10 @@ class Settings(Thresholds):
         0.33, "share of evidence", "of a drift, above which structure with the load and what the drift follows leaves no drift",
         "chosen; gears that soften as they warm up were called thermal drift on an outside simulator, at 0.65",
     )  # fmt: skip
+    share_of_same_form: float = threshold(
+        0.05, "share of evidence", "of a compliance that goes with its axis' angle, above which more of it beside leaves no name",
+        "chosen; a gear whose compliance ripples was called a counterbalance on an outside simulator, at 0.09",
+    )  # fmt: skip
     nats_for_structure: float = threshold(
         6.5, "nats", "evidence of the strongest such structure, the number tried taken off, that makes a session unexplained",
         "odds of 600: four kinds of structures are tried, so that noise passes for one in less than 1 % of clean sessions",

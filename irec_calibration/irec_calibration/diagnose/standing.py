@@ -112,6 +112,7 @@ def _weak(
         or _beside_larger(one, i, share, settings) < least[i]
         or _mends(start, one, bare[i], i, family, settings)
         or _part_of_another(one, bare[i], i, settings)
+        or _of_another_form(one, bare[i], i, settings)
     ]
 
 
@@ -199,6 +200,17 @@ def _part_of_another(one: Explanation, bare: Explanation, effect_id: str, settin
     rest = [p for p in one.remainder.structures if not p.structure.is_drift]
     other = sum(p.log_evidence for p in rest if follows & {*p.structure.variables})
     return bool(other > settings.share_of_same_course * (one.named - bare.named))
+
+
+def _of_another_form(one: Explanation, bare: Explanation, effect_id: str, settings: Settings) -> bool:
+    """Whether beside a compliance that goes with its axis' own angle much of such a compliance is left: no linkage has that form.
+
+    Args:
+        bare: the model without it.
+    """
+    turns = forms_of(one.term(effect_id), one.study.ready).turns
+    left = sum(p.log_evidence for p in one.remainder.structures if p.structure.softer_by_angle in turns)
+    return bool(left > max(settings.nats_for_structure, settings.share_of_same_form * (one.named - bare.named)))
 
 
 def _beside_larger(one: Explanation, effect_id: str, share: dict[str, float], settings: Settings) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..effects import Family as Alike
 from ..effects import find_effect
 from ..effects.formula import in_words
 from ..identification.noise import InferredNoise
@@ -62,14 +63,7 @@ def verdict_of(
     if assessment.status == "adequate" and not few:
         parts.append(f"Nothing shows any other cause than noise{' and what every robot has' if assessment.usual else ''}.")
     parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
-    if _by_limit_only(assessment):
-        if rating_known(study.session.robot).all():
-            parts.append("The gear is soft over just the range of torque at which play ends and a soft gear begins.")
-        else:
-            parts.append(
-                "What is soft over so little torque is play by one torque limit of the drive and a soft gear by another, and the"
-                " robot description states none (effort)."
-            )
+    parts += _why_either(assessment)
     evidence = assessment.evidence
     if assessment.status == "unexplained" and not evidence:
         evidence = ("held_out_structure",)  # what either effect describes, and needed to be taken in
@@ -240,14 +234,24 @@ def _could_hide(assessment: Assessment) -> list[str]:
     return out
 
 
-def _by_limit_only(assessment: Assessment) -> bool:
-    """Whether two effects of which one is needed are told apart by the torque limits of the drives, which nobody has stated."""
+def _why_either(assessment: Assessment) -> list[str]:
+    """Why two effects that are one by their values (`Effect.also_called`) are not told apart."""
     ready = assessment.study.ready
+    out: list[str] = []
     for term in assessment.built.final.added:
         also = term.effect.also_called(ready, term.theta(term.effect.parameters(ready)))
-        if also and any({term.effect.id, also} <= set(s) for s in assessment.one_of):
-            return True
-    return False
+        if not also or not any({term.effect.id, also} <= set(s) for s in assessment.one_of):
+            continue
+        if term.effect.family is not Alike.TORQUE_LAW:
+            out.append("A station that is turned about the first axis does to all that is seen what an error of its zero does.")
+        elif rating_known(ready.robot).all():
+            out.append("The gear is soft over just the range of torque at which play ends and a soft gear begins.")
+        else:
+            out.append(
+                "What is soft over so little torque is play by one torque limit of the drive and a soft gear by another, and the"
+                " robot description states none (effort)."
+            )
+    return list(dict.fromkeys(out))
 
 
 def _rest(assessment: Assessment) -> list[str]:

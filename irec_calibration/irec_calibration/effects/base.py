@@ -232,7 +232,7 @@ class Effect(ABC):
 
     def also_called(self, scene: Scene, theta: Array) -> str:
         """Id of another effect that these values would be under another torque limit of the drives, where the robot description
-        states none, or that begins where they end; else empty."""
+        states none, that begins where they end, or that does the same to all that a session sees; else empty."""
         return ""
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:

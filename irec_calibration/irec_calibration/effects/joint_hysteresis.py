@@ -27,7 +27,7 @@ TURNS = 0.01  # rad of travel after which friction points against it
 SHAPE = 4  # parameters that enter nonlinearly, the last ones
 SLIDERS = ("h", "early", "late")  # of each axis, with thresholds r, r / APART, r APART
 # share of the deflection, RMS, and axes; chosen: an outside simulator whose gears all have some friction has 0.6 to 1.3 %
-USUAL_FRICTION, USUAL_AXES = 0.02, 3
+USUAL_FRICTION, USUAL_AXES = 0.025, 3
 
 
 class JointHysteresis(Effect):

@@ -57,6 +57,16 @@ class StationRegistration(Effect):
         turned = (np.array([values.get(f"w_{a}_{s}", 0.0) for a in AXES]) for s in stations)
         return all(float(np.sqrt(np.mean(w**2))) <= USUAL_RAD for w in turned)
 
+    def also_called(self, scene: Scene, theta: Array) -> str:
+        """A turn of all that the stations see about the first axis is what the zero of that axis does."""
+        if not len(theta) or scene.kin.is_prismatic[0]:
+            return ""
+        axis = scene.kin.axis[0, 0]
+        turned = theta.reshape(-1, 3)
+        about = np.median(turned @ axis)
+        rest = turned - about * axis
+        return "geometry_error" if np.sqrt(np.mean(rest**2)) <= USUAL_RAD < abs(about) else ""
+
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
         if scene.kind == "absolute" or scene.measured_from_station is None:
             return None

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from irec_calibration.diagnose import build, standing
-from irec_calibration.diagnose.forms import NO_FORMS
+from irec_calibration.diagnose.forms import NO_FORMS, Forms
 from irec_calibration.diagnose.rivals import Rivals
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.effects import Parameter, find_effect
@@ -182,3 +182,19 @@ def test_two_names_need_together_what_each_of_them_needs_over_structures_in_the_
     )  # fmt: skip
     monkeypatch.setattr(standing, "remainder_of", lambda s, *_: SimpleNamespace(gained=structures if s == "start" else 0.0))
     assert standing._together(start, one, None, SETTINGS) == stand  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("axis", "left", "of_another_form"),
+    [(1, 35.0, True), (1, 6.0, False), (1, 15.0, False), (2, 35.0, False), (None, 35.0, False)],
+)
+def test_a_compliance_that_goes_with_its_angle_beside_which_more_of_it_is_left_is_no_balancer(
+    monkeypatch: pytest.MonkeyPatch, axis: int | None, left: float, of_another_form: bool
+) -> None:
+    """A gear of axis 2 whose compliance ripples five times per turn was called a counterbalance, with 35 beside 370 left."""
+    monkeypatch.setattr(standing, "forms_of", lambda *_: Forms(turns=frozenset({1})))
+    structure = SimpleNamespace(log_evidence=left, structure=SimpleNamespace(softer_by_angle=axis))
+    study = SimpleNamespace(ready=None)
+    one: Any = SimpleNamespace(named=370.0, remainder=SimpleNamespace(structures=(structure,)), study=study, term=lambda _: None)
+    bare: Any = SimpleNamespace(named=0.0)
+    assert standing._of_another_form(one, bare, "counterbalance", SETTINGS) == of_another_form
