@@ -15,7 +15,7 @@ RUN = Path(__file__).resolve().parents[1] / "tools" / "fuzz" / "run.py"
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("seed", [1, 2])  # a quarter of a minute each, one on each process of the suite
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])  # a quarter of a minute each
 def test_no_reader_fails_on_mutated_files(tmp_path, seed):
     command = [sys.executable, RUN, "--files", str(FILES), "--seed", str(seed), "--keep", tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, timeout=880, check=False)

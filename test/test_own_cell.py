@@ -110,7 +110,7 @@ def test_what_is_not_given_is_named_at_once(tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-@pytest.mark.parametrize("robot", ["ur10e", "panda", "irb6700"])
+@pytest.mark.parametrize("robot", ["ur10e", *(pytest.param(r, marks=pytest.mark.long) for r in ("panda", "irb6700"))])
 def test_three_foreign_robots_are_planned_measured_identified_and_corrected(robot, tmp_path, capsys):
     path = tmp_path / "mine.yaml"
     assert main(["init-cell", "-o", str(path), *options(robot, tmp_path)]) == 0

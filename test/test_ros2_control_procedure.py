@@ -151,7 +151,7 @@ def _weight(cell: Cell, frame: str, load: ToolLoad, R_tool: np.ndarray) -> np.nd
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [0.0, 0.1])
+@pytest.mark.parametrize("delay", [pytest.param(0.0, marks=pytest.mark.long), 0.1])
 def test_a_whole_procedure_through_joint_trajectories_gives_a_session_that_is_solved(delay: float, tmp_path: Path) -> None:
     cell = read_cell(CELL)
     line = Line(cell, delay, n_poses=3)

@@ -48,7 +48,7 @@ def pedestal_with_friction(scene: Scene) -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hidden", [sensor_with_friction, pedestal_with_friction])
+@pytest.mark.parametrize("hidden", [pytest.param(sensor_with_friction, marks=pytest.mark.long), pedestal_with_friction])
 def test_friction_outside_of_the_gears_opens_no_gear(hidden: Callable[[Scene], Array]) -> None:
     verdict = diagnose(session(hidden)).verdict
     assert "joint_hysteresis" not in verdict.effects, verdict.text

@@ -27,7 +27,7 @@ def positions() -> NDArray[np.float64]:
     return np.repeat(np.random.default_rng(7).uniform(0.0, 3.0, POSES), 6)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_a_rail_on_posts_is_named_with_the_distance_of_its_posts(seed: int) -> None:
     session = replace(synthetic.session(POSES, seed=seed, extra=on_posts), ext={"rail": positions()})
     ladder = improve(session)

@@ -117,7 +117,7 @@ def test_noise_of_an_absolute_session_that_wanders_is_found_with_its_time() -> N
     assert wandering(observation, fast).whiten.wander is None
 
 
-@pytest.mark.parametrize("seed", [1, 2, 13, 14])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.long) for s in (2, 13, 14))])
 def test_nothing_is_found_in_an_absolute_session_whose_tracker_wanders(seed: int) -> None:
     found = diagnose(wandered(seed))
     assert found.verdict.status == "adequate"
@@ -144,13 +144,13 @@ def slow(course_of: Callable[[Array], Array], seed: int) -> Session:
     return replace(found, stamp=9.0 * found.stamp)
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.long)])
 def test_a_step_beside_springs_that_are_not_known_yet_does_not_pass_for_noise_that_wanders(seed: int) -> None:
     found = diagnose(slow(lambda share: 2e-4 * np.outer(share > 0.5, [0.6, 0.5, -0.62]), seed))
     assert set(found.verdict.effects) == {"joint_torsion", "station_shift"}
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.long)])
 def test_a_cell_that_warms_up_beside_springs_that_are_not_known_yet_does_not_pass_for_noise_that_wanders(seed: int) -> None:
     found = diagnose(slow(lambda share: 4e-4 * np.outer(-np.expm1(-1.3 * share), [0.6, 0.5, -0.62]), seed))
     assert set(found.verdict.effects) == {"joint_torsion", "thermal_drift"}
