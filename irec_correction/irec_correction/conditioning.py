@@ -66,7 +66,7 @@ def sensor_in_tool(robot: Robot, frame: str) -> tuple[Array, Array]:
     Raises:
         SettingsError: no such link, or it moves against tool0.
     """
-    model = pin.buildModelFromXML(robot.urdf_text)
+    model = pin.buildModelFromXML(robot.completed_urdf)
     if not model.existFrame(frame):
         raise SettingsError(f"robot description has no link '{frame}', in which the force sensor is said to measure")
     sensor, tool = model.frames[model.getFrameId(frame)], model.frames[model.getFrameId("tool0")]

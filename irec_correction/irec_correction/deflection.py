@@ -249,7 +249,7 @@ class _Weight:
     """Torque of gravity about each drive, on preallocated data."""
 
     def __init__(self, robot: Robot, gravity_in_base: Array, payload: Payload | None) -> None:
-        self._model = m = pin.buildModelFromXML(robot.urdf_text)
+        self._model = m = pin.buildModelFromXML(robot.completed_urdf)
         tcp, base = m.frames[m.getFrameId("tool0")], m.getFrameId("base_link")
         if payload is not None and payload.mass > 0.0:
             m.appendBodyToJoint(

@@ -124,7 +124,7 @@ def _seconds(stamp: Any) -> float:
 
 
 def _R_sensor(robot: Robot, frame: str, found: Standing) -> Array:
-    model = pin.buildModelFromXML(robot.urdf_text)
+    model = pin.buildModelFromXML(robot.completed_urdf)
     if not model.existFrame(frame):
         raise RobotError(f"{robot.source}: no link '{frame}' for the force sensor; name it with --frame")
     sensor, tool = model.frames[model.getFrameId(frame)], model.frames[model.getFrameId("tool0")]

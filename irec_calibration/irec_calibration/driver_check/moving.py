@@ -252,7 +252,7 @@ def _weight(m: Moves, cell: Cell) -> Iterator[Item]:
 
 def _sensor_in_tool(cell: Cell) -> Array:
     """Rotation of the sensor's frame into tool0, (3, 3), from the robot description."""
-    model = pin.buildModelFromXML(cell.robot.urdf_text)
+    model = pin.buildModelFromXML(cell.robot.completed_urdf)
     name = cell.raw["force_sensor"]["frame"]
     if not model.existFrame(name):
         return np.eye(3)

@@ -25,7 +25,7 @@ class ProcessWrench:
 
     def __init__(self, cell: Cell, frame: str, load: ToolLoad, sign: float = 1.0) -> None:
         self._robot, self._load, self.sign = cell.robot, load, sign
-        model = pin.buildModelFromXML(cell.robot.urdf_text)
+        model = pin.buildModelFromXML(cell.robot.completed_urdf)
         self.links = frozenset(frame.name for frame in model.frames)  # of the robot description
         if not model.existFrame(frame):
             raise CellError(f"robot description has no link '{frame}', in which the force sensor is said to measure")

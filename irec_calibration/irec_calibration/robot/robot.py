@@ -18,6 +18,7 @@ import pinocchio as pin
 from ..errors import RobotError
 from ..files.regular import URDF_LIMIT, read_text
 from ..typing import Array, BoolArray, IntArray
+from .description import completed
 from .kinematics import Kinematics
 
 
@@ -45,17 +46,19 @@ class Robot:
             source: where the text came from, for messages.
 
         Raises:
-            RobotError: not a URDF, links missing, or no moving joint on the path.
+            RobotError: not a URDF, links missing, a mass that can't be, or no moving joint on the path.
         """
         self.urdf_text = urdf_text
         self.source = source
         self.sha256 = hashlib.sha256(urdf_text.encode()).hexdigest()
         try:
-            self._declared = {j.get("name"): j.get("type") for j in ElementTree.fromstring(urdf_text).findall("joint")}
+            root = ElementTree.fromstring(urdf_text)
         except (ElementTree.ParseError, ValueError, RecursionError) as error:
             raise RobotError(f"{source}: not a robot description (URDF): {error}") from error
+        self._declared = {j.get("name"): j.get("type") for j in root.findall("joint")}
+        self.completed_urdf = completed(urdf_text, root, source)  # what Pinocchio reads
         try:
-            self._model = pin.buildModelFromXML(urdf_text)
+            self._model = pin.buildModelFromXML(self.completed_urdf)
         except Exception as error:  # Pinocchio raises plain RuntimeError or ValueError
             raise RobotError(f"{source}: not a robot description that can be read: {_unread(urdf_text) or error}") from error
         self._data = self._model.createData()
