@@ -9,6 +9,7 @@ import numpy as np
 
 from ..effects import Family as Alike
 from ..effects import find_effect
+from ..effects.base import weightless
 from ..effects.formula import in_words
 from ..identification.noise import InferredNoise
 from ..identification.provenance import too_few
@@ -64,6 +65,11 @@ def verdict_of(
         parts.append(f"Nothing shows any other cause than noise{' and what every robot has' if assessment.usual else ''}.")
     parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
     parts += _why_either(assessment)
+    if weightless(study.ready):
+        parts.append(
+            "The robot description gives no masses: what the arm's own weight does is not known, and may pass for something else."
+            " State the masses (<inertial>)."
+        )
     evidence = assessment.evidence
     if assessment.status == "unexplained" and not evidence:
         evidence = ("held_out_structure",)  # what either effect describes, and needed to be taken in

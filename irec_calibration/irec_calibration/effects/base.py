@@ -108,7 +108,7 @@ class Effect(ABC):
         moves_joints: in a loaded session springs turn about other lines than the robot description has: reads
             `scene.response.by_geometry`, and has `standing`, which predictions rest on.
         needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`, `tracker`,
-            `relaxed` (a reference row without load).
+            `relaxed` (a reference row without load), `weight` (masses of the arm, where a payload's weight shows springs).
         in_readings: moves each reading of a loaded session by itself, and by far more than the differences that it is found in.
         registers: places instruments of an absolute session; belongs to the session, not to the robot.
         evidence: where a session shows it.
@@ -293,6 +293,11 @@ def parameters_of(effect: Effect, scene: Scene) -> tuple[Parameter, ...]:
     return scene.asked[id(effect)][1]
 
 
+def weightless(scene: Scene) -> bool:
+    """Whether what loads an arm is its own weight, of which the robot description says nothing."""
+    return scene.kind == "absolute" and not np.any(scene.arm.robot.moved_masses)
+
+
 def absent(scene: Scene, needs: tuple[str, ...]) -> str:
     """Why a scene can't show an effect that needs something, or an empty string.
 
@@ -317,4 +322,6 @@ def absent(scene: Scene, needs: tuple[str, ...]) -> str:
                 return "no process force acts in this session"
             if not np.any(scene.tau_gravity):
                 return "no process force acts in this session and the robot description gives no masses"
+        if need == "weight" and weightless(scene) and np.any(scene.tau_gravity):
+            return "the robot description gives no masses but the payload's, and what the arm's own weight does would pass for it"
     return ""

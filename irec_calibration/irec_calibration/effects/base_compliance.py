@@ -68,7 +68,7 @@ class BaseCompliance(Effect):
     everywhere = ("absolute",)  # there the weight of the arm tilts it, whatever it stands on
     beside = "joint_torsion"
     elastic = True
-    needs = ("load",)
+    needs = ("load", "weight")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale, limit = _rotation(scene)

@@ -36,6 +36,7 @@ class Counterbalance(Effect):
         "+ p_a_twice sin 2 q_2 + p_b_twice cos 2 q_2), as an eccentric encoder does. A loaded session sees no difference of it."
     )
     family = Family.TORQUE_LAW
+    needs = ("weight",)
     by_angle = True
     turns_by_angle = True
 

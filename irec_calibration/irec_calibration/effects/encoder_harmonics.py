@@ -24,7 +24,7 @@ class EncoderHarmonics(Effect):
     family = Family.ANGLE_ERROR
     cause = Cause.STATE
     turns_by_angle = True
-    needs = ("tracker",)
+    needs = ("tracker", "weight")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         # in a loaded session only errors far above those of a sound encoder can show

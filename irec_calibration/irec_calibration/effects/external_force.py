@@ -39,7 +39,7 @@ class ExternalForce(Effect):
     family = Family.SENSOR
     needs_elastic = True
     loads_arm = True
-    needs = ("relaxed",)
+    needs = ("relaxed", "weight")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         kept: dict[str, tuple[Parameter, ...]] = scene.view.kept  # the same whatever the load: asked by every scene of a fit

@@ -31,7 +31,7 @@ class JointStiffening(Effect):
         "is play. Missing, the residual is odd and nonlinear in the torque of one axis, shifted by its gravity preload."
     )
     family = Family.TORQUE_LAW
-    needs = ("load",)
+    needs = ("load", "weight")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale = typical_compliance(scene.robot)

@@ -31,7 +31,7 @@ class ToolCompliance(Effect):
     )
     family = Family.SPRING
     elastic = True
-    needs = ("load",)
+    needs = ("load", "weight")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale = 1e-7
