@@ -127,9 +127,12 @@ def _together(start: Explanation, one: Explanation, family: Family, settings: Se
     scene = one.study.ready
     own = [forms_of(one.term(i), scene) for i in ids]
     forms = Forms(
-        frozenset().union(*(f.axes for f in own)), any(f.drifts for f in own), False, frozenset().union(*(f.turns for f in own)),
-        frozenset().union(*(f.steps for f in own)), frozenset().union(*(f.angles for f in own)),
-    )  # fmt: skip
+        axes=frozenset().union(*(f.axes for f in own)),
+        drifts=any(f.drifts for f in own),
+        turns=frozenset().union(*(f.turns for f in own)),
+        steps=frozenset().union(*(f.steps for f in own)),
+        angles=frozenset().union(*(f.angles for f in own)),
+    )
     known = one.remainder.parts
     instead = remainder_of(start.study, family, known, forms).gained
     left = remainder_of(one.study, family, known, forms).gained

@@ -249,7 +249,7 @@ def _why_either(assessment: Assessment) -> list[str]:
         if not also or not any({term.effect.id, also} <= set(s) for s in assessment.one_of):
             continue
         if term.effect.family is not Alike.TORQUE_LAW:
-            out.append("A station that is turned about the first axis does to all that is seen what an error of its zero does.")
+            out.append("A station turned about the first axis and an error of that axis' zero do the same to all that is seen.")
         elif rating_known(ready.robot).all():
             out.append("The gear is soft over just the range of torque at which play ends and a soft gear begins.")
         else:

@@ -58,7 +58,7 @@ class StationRegistration(Effect):
         return all(float(np.sqrt(np.mean(w**2))) <= USUAL_RAD for w in turned)
 
     def also_called(self, scene: Scene, theta: Array) -> str:
-        """A turn of all that the stations see about the first axis is what the zero of that axis does."""
+        """A turn of all stations about the first axis (theta, rad) is what the zero of that axis does to all that they see."""
         if not len(theta) or scene.kin.is_prismatic[0]:
             return ""
         axis = scene.kin.axis[0, 0]

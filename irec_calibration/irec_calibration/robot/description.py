@@ -13,8 +13,9 @@ INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def completed(urdf_text: str, root: ElementTree.Element, source: str) -> str:
-    """The description with what the parser needs and nothing here uses: a drive's limit that is not stated is unknown, and a mass
-    without moments of inertia is a point. Otherwise the parser refuses the whole, or drops the mass without a word.
+    """The description with what the parser demands and may be unknown here: limits of drives that are not stated (N m or N, and
+    rad/s or m/s) are 0, and moments of inertia of a mass (kg m^2), which nothing here uses, too. Without them the parser refuses
+    the whole, or drops the mass without a word.
 
     Args:
         root: of the same text. source: where it came from, for messages.
@@ -25,8 +26,10 @@ def completed(urdf_text: str, root: ElementTree.Element, source: str) -> str:
     changed = False
     for joint in root.iter("joint"):
         limit = joint.find("limit")
-        for name in LIMITS if limit is not None else ():
-            if limit is not None and not math.isfinite(_number(limit.get(name))):
+        if limit is None:
+            continue
+        for name in LIMITS:
+            if not math.isfinite(_number(limit.get(name))):
                 limit.set(name, "0")
                 changed = True
     for link in root.iter("link"):

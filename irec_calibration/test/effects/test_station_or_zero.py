@@ -43,7 +43,7 @@ def found(turn: tuple[float, float, float]) -> Diagnosis:
 def test_which_of_the_two_it_is_no_verdict_says() -> None:
     verdict = found((0.0, 0.0, 0.02)).verdict
     assert verdict.one_of == (("station_registration", "geometry_error"),)
-    assert "does to all that is seen what an error of its zero does" in verdict.text
+    assert "an error of that axis' zero do the same to all that is seen" in verdict.text
 
 
 @pytest.mark.slow
