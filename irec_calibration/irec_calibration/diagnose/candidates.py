@@ -15,7 +15,7 @@ from ..effects import Effect, Parameter, known_effects
 from ..effects.scene import Scene
 from ..errors import EffectError, SolveError
 from ..typing import Array, BoolArray
-from .evidence import Block, Ground, Posterior, Reduced
+from .evidence import Block, Ground, Posterior
 from .priors import FACTORS
 from .study import Study
 
@@ -84,8 +84,12 @@ class Table:
     def groups(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(p.group for p, s in zip(self.parameters, self.shows, strict=True) if s))
 
+    @cached_property
+    def _columns_of(self) -> dict[str, list[int]]:
+        return {n: [i for i, p in enumerate(self.parameters) if p.group == n and self.shows[i]] for n in self.groups}
+
     def columns(self, chosen: Sequence[str]) -> list[int]:
-        return [i for i, p in enumerate(self.parameters) if p.group in chosen and self.shows[i]]
+        return sorted(i for n in chosen for i in self._columns_of.get(n, ()))
 
 
 @dataclass(frozen=True)
@@ -182,6 +186,21 @@ def _beside_springs(study: Study, A: Array, parameters: Sequence[Parameter]) -> 
     return out
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """Some groups of one table of an option: the table's number, its columns, how likely it is beforehand, and the posterior."""
+
+    table: int
+    groups: tuple[str, ...]
+    columns: list[int]
+    log_prior: float
+    posterior: Posterior
+
+    @property
+    def score(self) -> float:
+        return self.posterior.log_evidence + self.log_prior
+
+
 _Set = tuple[int, tuple[str, ...]]  # place of a table, groups of it
 
 
@@ -189,34 +208,35 @@ def try_option(ground: Ground, option: Option, scene: Scene) -> Trial:
     """Try an effect in all its variants on a ground."""
     effect, alone = option.effect, ground.log_evidence
     log_odds = effect.log_odds(scene)
-    reduced = []
-    for table in option.tables:
-        V, u = ground.reduce(table.block.A)
-        reduced.append(Reduced(table.gram - V.T @ V, u, V, table.block))
+    reduced = ground.reduced_tables([t.block for t in option.tables], [t.gram for t in option.tables])
 
-    def variants(sets: Sequence[_Set]) -> list[tuple[Variant, Posterior]]:
-        columns = [option.tables[i].columns(chosen) for i, chosen in sets]
-        found = ground.posteriors([reduced[i].take(c) for (i, _), c in zip(sets, columns, strict=True)], FACTORS)
+    def variants(sets: Sequence[_Set]) -> list[_Tried]:
+        chosen = [(i, option.tables[i].columns(groups)) for i, groups in sets]
         out = []
-        for (i, chosen), c, posterior in zip(sets, columns, found, strict=True):
-            table, names = option.tables[i], option.tables[i].groups
-            sets_of = len(names) * comb(len(names), len(chosen)) * len(option.tables)
-            prior = log_odds + effect.log_odds_of(chosen) - log(sets_of)
-            v = Variant(
-                effect, chosen, table.shape, tuple(table.parameters[j].name for j in c),
-                np.array([table.parameters[j].scale for j in c]), reduced[i].block.take(c).widened(posterior.factor), prior,
-            )  # fmt: skip
-            out.append((v, posterior))
+        for (i, groups), (_, columns), posterior in zip(sets, chosen, ground.posteriors(reduced, chosen, FACTORS), strict=True):
+            of = len(option.tables[i].groups)
+            prior = log_odds + effect.log_odds_of(groups) - log(of * comb(of, len(groups)) * len(option.tables))
+            out.append(_Tried(i, groups, columns, prior, posterior))
         return out
 
     names = [t.groups for t in option.tables]
     tried = variants([(i, (n,)) for i, of in enumerate(names) for n in of])
     tried += _forward(variants, names, tried) + variants([(i, of) for i, of in enumerate(names) if len(of) > 1])
-    gained = [supported(p.log_evidence - alone, ground.bench.saved(ground.chi2, p.chi2)) for _, p in tried]
-    score = np.array([alone + g + v.log_prior for g, (v, _) in zip(gained, tried, strict=True)])
+    posteriors = [t.posterior for t in tried]
+    saved = ground.bench.saved_each(ground.chi2, np.array([p.chi2 for p in posteriors]))
+    gained = [supported(p.log_evidence - alone, s) for p, s in zip(posteriors, saved, strict=True)]
+    score = np.array([alone + g + t.log_prior for g, t in zip(gained, tried, strict=True)])
     best = int(np.argmax(score))
     total = float(score[best] + np.log(np.exp(score - score[best]).sum()))
-    return Trial(effect, *tried[best], total - alone)
+    return Trial(effect, _variant(option, tried[best]), tried[best].posterior, total - alone)
+
+
+def _variant(option: Option, tried: _Tried) -> Variant:
+    table, chosen = option.tables[tried.table], [option.tables[tried.table].parameters[j] for j in tried.columns]
+    return Variant(
+        option.effect, tried.groups, table.shape, tuple(p.name for p in chosen), np.array([p.scale for p in chosen]),
+        table.block.take(tried.columns).widened(tried.posterior.factor), tried.log_prior,
+    )  # fmt: skip
 
 
 def try_effect(study: Study, effect: Effect, check: Callable[[], None] = lambda: None) -> Trial | None:
@@ -236,32 +256,31 @@ def supported(log_evidence: float, saved: float) -> float:
 
 
 def _forward(
-    variants: Callable[[Sequence[_Set]], list[tuple[Variant, Posterior]]],
-    names: Sequence[tuple[str, ...]],
-    singles: Sequence[tuple[Variant, Posterior]],
-) -> list[tuple[Variant, Posterior]]:
+    variants: Callable[[Sequence[_Set]], list[_Tried]], names: Sequence[tuple[str, ...]], singles: Sequence[_Tried]
+) -> list[_Tried]:
     """Sets of groups of each table built up one by one, as long as the evidence rises."""
-    out: list[tuple[Variant, Posterior]] = []
-    ranked = iter([(p.log_evidence + v.log_prior, v.groups) for v, p in singles])
-    best = {i: max((next(ranked) for _ in of), key=lambda t: t[0]) for i, of in enumerate(names)}
+    out: list[_Tried] = []
+    best: dict[int, _Tried] = {}
+    for one in singles:
+        if one.table not in best or one.score > best[one.table].score:
+            best[one.table] = one
     going = [i for i, of in enumerate(names) if len(of) > 2]
     for step in range(FORWARD_STEPS):
         sets: list[_Set] = [
-            (i, tuple(n for n in names[i] if n in best[i][1] or n == extra))
+            (i, tuple(n for n in names[i] if n in best[i].groups or n == extra))
             for i in going
             if step < len(names[i]) - 2
             for extra in names[i]
-            if extra not in best[i][1]
+            if extra not in best[i].groups
         ]
         more = variants(sets)
         out += more
-        going = []
-        for i in dict.fromkeys(i for i, _ in sets):
-            mine = [(p.log_evidence + v.log_prior, v.groups) for (j, _), (v, p) in zip(sets, more, strict=True) if j == i]
-            top = max(mine, key=lambda t: t[0])
-            if top[0] > best[i][0]:
-                best[i] = top
-                going.append(i)
+        top: dict[int, _Tried] = {}
+        for one in more:
+            if one.table not in top or one.score > top[one.table].score:
+                top[one.table] = one
+        going = [i for i, one in top.items() if one.score > best[i].score]
+        best |= {i: top[i] for i in going}
         if not going:
             break
     return out

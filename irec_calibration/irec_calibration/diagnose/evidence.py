@@ -142,8 +142,11 @@ class Bench:
 
     def saved(self, chi2_before: float, chi2_after: float) -> float:
         """What a fall of the squared residual is worth at the noise level that it shows itself: about the fall in variances."""
-        before, after = self.log_fit(np.array([chi2_before, chi2_after]))
-        return float(2.0 * (after - before))
+        return float(self.saved_each(chi2_before, np.array([chi2_after]))[0])
+
+    def saved_each(self, chi2_before: float, chi2_after: Array) -> Array:
+        """As `saved`, of each of many fits, (k,)."""
+        return 2.0 * (self.log_fit(chi2_after) - self.log_fit(np.array(chi2_before)))
 
     def held_out(self, block: Block) -> Array:
         """Whitened residual of every equation, each pose predicted from all others, (n,)."""
@@ -240,60 +243,83 @@ class Ground:
 
         x holds the further block's columns only; log_evidence is that of ground and block together.
         """
-        V, u = self.reduce(block.A)
-        return self.posteriors([Reduced(block.A.T @ block.A - V.T @ V, u, V, block)], factors)[0]
+        return self.posteriors(self.reduced_tables([block]), [(0, range(block.A.shape[1]))], factors)[0]
 
-    def posteriors(self, further: Sequence[Reduced], factors: Array) -> list[Posterior]:
-        """As `posterior` of each of many further blocks, whose reduced columns are known already; those of one size at once."""
+    def reduced_tables(self, blocks: Sequence[Block], grams: Sequence[Array] | None = None) -> ReducedTables:
+        """Further blocks of the same columns, at other shapes; grams: the products A'A of each, where they are known already."""
+        grams = [block.A.T @ block.A for block in blocks] if grams is None else grams
+        V, u = zip(*(self.reduce(block.A) for block in blocks), strict=True)
+        S = [gram - v.T @ v for gram, v in zip(grams, V, strict=True)]
+        bounds = (np.array([getattr(block, name) for block in blocks]) for name in ("lower", "upper", "width"))
+        return ReducedTables(np.array(S), np.array(u), np.array(V), *bounds)
+
+    def posteriors(self, tables: ReducedTables, sets: Sequence[tuple[int, Sequence[int]]], factors: Array) -> list[Posterior]:
+        """As `posterior` of each of many sets of columns: the number of a table, and some of its columns."""
         out: dict[int, Posterior] = {}
         alike: dict[tuple[int, bool], list[int]] = {}
-        for i, one in enumerate(further):
-            bounded = bool(np.isfinite(one.block.lower).any() or np.isfinite(one.block.upper).any())
-            alike.setdefault((len(one.u), bounded), []).append(i)
+        for i, (of, chosen) in enumerate(sets):
+            alike.setdefault((len(chosen), any(tables.bounded[of][c] for c in chosen)), []).append(i)
         for (_, bounded), places in alike.items():
-            out |= dict(zip(places, self._posteriors([further[i] for i in places], bounded, factors), strict=True))
-        return [out[i] for i in range(len(further))]
+            table = np.array([sets[i][0] for i in places])
+            columns = np.array([sets[i][1] for i in places], dtype=np.intp)
+            out |= dict(zip(places, self._posteriors(tables, table, columns, bounded, factors), strict=True))
+        return [out[i] for i in range(len(sets))]
 
-    def _posteriors(self, further: Sequence[Reduced], bounded: bool, factors: Array) -> list[Posterior]:
-        """Of m blocks of p columns each, under k factors."""
-        S, u = np.array([f.S for f in further]), np.array([f.u for f in further])
-        precision = np.array([floored((f.block.width * factors[:, None]) ** -2.0, f.S, self.bench.rounding) for f in further])
+    def _posteriors(
+        self, tables: ReducedTables, table: IntArray, columns: IntArray, bounded: bool, factors: Array
+    ) -> list[Posterior]:
+        """Of m sets of p columns each, under k factors; table: (m,); columns: (m, p)."""
+        of = table[:, None], columns
+        S, u = tables.S[table[:, None, None], columns[:, :, None], columns[:, None, :]], tables.u[of]
+        precision = floored((tables.width[of][:, None] * factors[:, None]) ** -2.0, S[:, None], self.bench.rounding)
         m, k, p = precision.shape
         flat = precision.reshape(-1, p)
         H = np.repeat(S, k, axis=0) + flat[:, :, None] * np.eye(p)
         h = np.repeat(u, k, axis=0)
         if bounded:
-            lower, upper = (np.repeat(bounds, k, axis=0) for bounds in zip(*((f.block.lower, f.block.upper) for f in further)))
+            lower, upper = np.repeat(tables.lower[of], k, axis=0), np.repeat(tables.upper[of], k, axis=0)
             x = solve_bounded_gram(H, h, lower, upper)
             volume = _log_volume(H, h, x, flat, lower, upper)
         else:
-            x = np.linalg.solve(H, h[:, :, None])[:, :, 0]
+            x = np.asarray(np.linalg.solve(H, h[:, :, None])[:, :, 0], dtype=float)
             volume = 0.5 * (np.log(flat).sum(axis=1) - np.linalg.slogdet(H)[1])
         loss = self.loss - 2.0 * (x * h).sum(axis=1) + np.einsum("ki,kij,kj->k", x, H, x)
         gained = (self.fit_gain(loss) + volume).reshape(m, k)
         best = gained.argmax(axis=1)
         at = np.arange(m) * k + best
-        moved = np.stack([self._c - f.V @ x[i] for f, i in zip(further, at, strict=True)], axis=1)
+        in_table = np.zeros((m, tables.u.shape[1]))
+        in_table[np.arange(m)[:, None], columns] = x[at]
+        moved = self._c[:, None] - np.einsum("mfp,mp->fm", tables.V[table], in_table)
         beside = solve_triangular(self._L, moved, lower=True, trans="T")
         chi2 = loss[at] - (flat[at] * x[at] ** 2).sum(axis=1) - self._held - self._precision @ beside**2
+        top = gained[np.arange(m), best]
+        log_evidence = self.log_evidence + top + np.log(np.exp(gained - top[:, None]).mean(axis=1))
         return [
-            Posterior(x[i], max(float(c), 0.0), self.log_evidence + float(_log_mean_exp(g)), float(factors[j]))
-            for i, j, c, g in zip(at, best, chi2, gained, strict=True)
+            Posterior(x[i], max(float(c), 0.0), float(e), float(factors[j]))
+            for i, j, c, e in zip(at, best, chi2, log_evidence, strict=True)
         ]
 
 
 @dataclass(frozen=True)
-class Reduced:
-    """A further block beside a ground: S = X'X - V'V, u and V as of `Ground.reduce`, of its columns X."""
+class ReducedTables:
+    """Further blocks beside a ground, t of p columns each: S = X'X - V'V, u and V as of `Ground.reduce`, of their columns X.
+
+    Attributes:
+        S: (t, p, p); u: (t, p); V: (t, free, p); lower, upper, width: as of `Block`, (t, p).
+    """
 
     S: Array
     u: Array
     V: Array
-    block: Block
+    lower: Array
+    upper: Array
+    width: Array
 
-    def take(self, columns: list[int]) -> Reduced:
-        """Some columns only."""
-        return Reduced(self.S[np.ix_(columns, columns)], self.u[columns], self.V[:, columns], self.block.take(columns))
+    @cached_property
+    def bounded(self) -> list[list[bool]]:
+        """Whether a column has a bound, by table and column."""
+        out: list[list[bool]] = (np.isfinite(self.lower) | np.isfinite(self.upper)).tolist()
+        return out
 
 
 def _log_volume(H: Array, h: Array, x: Array, precision: Array, lower: Array, upper: Array) -> Array:

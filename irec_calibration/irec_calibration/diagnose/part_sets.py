@@ -13,7 +13,7 @@ import numpy as np
 from ..effects import Effect
 from ..model import Estimate, Term
 from .candidates import SMALLEST_COLUMN, block_columns, supported
-from .evidence import Block, Ground, Posterior, Reduced
+from .evidence import Block, Ground, Posterior
 from .priors import FACTORS
 from .settings import SETTINGS
 from .study import Study
@@ -49,15 +49,13 @@ class PartSets:
         self.ground = Ground(rest.bench, rest.base if beside is None else rest.base + beside)
         self.alone = Posterior(np.zeros(0), self.ground.chi2, self.ground.log_evidence)
         self.tables = [(s, *block_columns(rest, effect, s)) for s in _shapes(rest, effect, fitted)]
-        self._reduced = []
-        for _, block, _ in self.tables:
-            V, u = self.ground.reduce(block.A)
-            self._reduced.append(Reduced(block.A.T @ block.A - V.T @ V, u, V, block))
+        self._reduced = self.ground.reduced_tables([block for _, block, _ in self.tables])
+        self._shows = [np.linalg.norm(block.A, axis=0) > SMALLEST_COLUMN for _, block, _ in self.tables]
         shown = [
             p.group
-            for _, block, parameters in self.tables
-            for p, length in zip(parameters, np.linalg.norm(block.A, axis=0), strict=True)
-            if p.group and length > SMALLEST_COLUMN
+            for (_, _, parameters), of in zip(self.tables, self._shows, strict=True)
+            for p, shows in zip(parameters, of, strict=True)
+            if p.group and shows
         ]
         self.names: Names = tuple(dict.fromkeys(shown))
         self._known: dict[Names, tuple[float, Posterior, int]] = {}
@@ -67,9 +65,8 @@ class PartSets:
         return tuple(n for n in self.names if n in wanted)
 
     def columns(self, names: Names, table: int) -> list[int]:
-        _, block, parameters = self.tables[table]
-        shows = np.linalg.norm(block.A, axis=0) > SMALLEST_COLUMN
-        return [i for i, p in enumerate(parameters) if shows[i] and p.group in (*names, "")]
+        shows, wanted = self._shows[table], {*names, ""}
+        return [i for i, p in enumerate(self.tables[table][2]) if p.group in wanted and shows[i]]
 
     def fit(self, names: Names) -> tuple[float, Posterior, int]:
         """Score, posterior and number of the shape of a set, at the shape that suits it best."""
@@ -78,7 +75,7 @@ class PartSets:
             tried = False
             columns = {i: self.columns(names, i) for i in range(len(self.tables)) if names}
             columns = {i: chosen for i, chosen in columns.items() if chosen}
-            posteriors = self.ground.posteriors([self._reduced[i].take(c) for i, c in columns.items()], FACTORS)
+            posteriors = self.ground.posteriors(self._reduced, list(columns.items()), FACTORS)
             for i, found in zip(columns, posteriors, strict=True):
                 saved = self.rest.bench.saved(self.alone.chi2, found.chi2)
                 gained = supported(found.log_evidence - self.alone.log_evidence, saved)

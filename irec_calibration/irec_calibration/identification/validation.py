@@ -56,7 +56,7 @@ class HeldOut:
 
 
 def floored(precision: Array, G: Array, rounding: float = RIDGE) -> Array:
-    """Precision of normal priors, (..., p), with what makes a problem of the Gram matrix G, (p, p), solvable.
+    """Precision of normal priors, (..., p), with what makes a problem of the Gram matrix G, (..., p, p), solvable.
 
     That of a parameter rests on its own column only: were it relative to the largest of all columns, those of one effect would
     narrow the priors of all other parameters, and models with and without it would not be compared on the same terms.
@@ -64,7 +64,7 @@ def floored(precision: Array, G: Array, rounding: float = RIDGE) -> Array:
     Args:
         rounding: least precision of parameters that have a prior, relative to their own diagonal entry; RIDGE for the others.
     """
-    floor = np.where(precision > 0.0, rounding, RIDGE) * np.maximum(G.diagonal(), 1e-30)
+    floor = np.where(precision > 0.0, rounding, RIDGE) * np.maximum(np.diagonal(G, axis1=-2, axis2=-1), 1e-30)
     return np.asarray(np.maximum(precision, floor))
 
 
