@@ -75,7 +75,7 @@ def run(node: GuardedNode) -> list[Item]:
         found = {
             "moves": lambda: driver_levels.moves(client, cell, axes, settings),
             "offset": lambda: driver_levels.offset(client),
-            "pressing": lambda: driver_levels.pressing(client),
+            "pressing": lambda: driver_levels.pressing(client, settings),
         }[level]()
         print(report(found), flush=True)
         items += found

@@ -86,9 +86,16 @@ def moves(client: DriverClient, cell: Cell, axes: Axes, settings: Settings) -> l
     return judge_moves(Moves(standing, way, line, arrived, answers, cancelled, p_cancelled, refused, moved), cell, axes)
 
 
-def pressing(client: DriverClient) -> list[Item]:
-    """From a few millimetres above a surface that somebody has confirmed."""
+def pressing(client: DriverClient, settings: Settings) -> list[Item]:
+    """From a few millimetres above a surface that somebody has confirmed; each driver goes there at its own speed."""
     none = np.zeros(3)
+
+    def in_contact(seconds: float) -> None:
+        """Until the tool presses, either way, and some seconds more, of the cell's clock; no longer than a load case has."""
+        begin, longest = client.now, settings.timeouts["settle"]
+        client.wait(lambda: abs(client.last("wrench")[2]) > 0.5 * PUSH or client.now > begin + longest, "contact", 10.0 * longest)
+        client.pause(seconds)
+
     _, lease, retract = client.switch(SetControlMode.Request.POSITION, none)
     down = np.array([0.0, 0.0, -PUSH])
     p0, R0 = client.tcp()
@@ -98,6 +105,7 @@ def pressing(client: DriverClient) -> list[Item]:
     client.wait(lambda: client.last("robot/state")[0] == 1.0 or client.now - begin > 2.0, "robot/state")
     state_late = client.now - begin
     held = []
+    in_contact(0.0)
     for force in (down, down + [ACROSS * PUSH, 0.0, 0.0], down + [0.0, -ACROSS * PUSH, 0.0]):
         client.pressing = force
         client.pause(3.0)
@@ -113,7 +121,7 @@ def pressing(client: DriverClient) -> list[Item]:
     jump = np.inf if before is None or after_switch is None else float(np.linalg.norm(after_switch[:3] - before[:3]))
     client.pressing = down
     client.switch(SetControlMode.Request.FORCE, down)
-    client.pause(2.0)
+    in_contact(2.0)
     client.pressing, last = None, client.now
     client.pause((lease if 0.0 <= lease <= LONGEST_LEASE else LONGEST_LEASE) + 3.0)  # not for the time of a lease that fails
     after = client.seen(last, client.now)
@@ -122,7 +130,7 @@ def pressing(client: DriverClient) -> list[Item]:
     client.move_line(p0, R0, SPEED)
     client.pressing = down
     client.switch(SetControlMode.Request.FORCE, down)
-    client.pause(3.0)
+    in_contact(3.0)
     client.pressing, left_at = None, client.now
     client.switch(SetControlMode.Request.POSITION, none)
     client.pause(LEAVE + 3.0)

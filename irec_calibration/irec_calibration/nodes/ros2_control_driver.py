@@ -45,7 +45,7 @@ from .rows import vector
 
 # s without joint states that can be believed, after which the robot is in fault; of the cell's clock where time is simulated
 SILENCE = 0.5
-STATE_PERIOD = 0.1  # s, longest between two robot/state, by the cell's clock and by the machine's
+STATE_PERIOD = 0.08  # s, after which robot/state is sent again: ten a second are asked for, and it is sent at a joint state
 WAITS = "waits until joint_states say for some time where the robot stands"
 SENSORS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 EITHER = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches every publisher
