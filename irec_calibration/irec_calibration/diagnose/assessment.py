@@ -16,7 +16,7 @@ from ..effects.traits import Evidence
 from ..effects.traits import Family as Alike
 from ..identification.noise import InferredNoise
 from ..identification.validation import HeldOut, gain, rms
-from ..model import Term
+from ..model import Term, total_displacement
 from .bad_readings import put_aside
 from .build import Built
 from .candidates import Trial
@@ -41,8 +41,8 @@ class Assessment:
 
     Attributes:
         names: effects that every good explanation needs, most important first; one_of: sets of which one is needed; usual:
-            effects that are there no larger than in every robot; unproven: that have evidence, but no part of which is proven and
-            without which other poses are predicted as well.
+            effects that are there no larger than in every robot; usual_m: structure likewise, m; unproven: that have evidence,
+            but no part of which is proven and without which other poses are predicted as well.
         study: the model with the added effects, cut down to the parts that they need; remainder: what is left beside it.
         evidence: what shows the structure that has no name: `repeats`, `held_out_structure`, `flexible_regression`,
             `readings_that_stand_out`, `few_poses`, `wandering`.
@@ -76,6 +76,7 @@ class Assessment:
     parts: dict[str, Parts] = field(default_factory=dict)
     other: tuple[tuple[Term, ...], tuple[str, str]] | None = None
     usual: tuple[str, ...] = ()
+    usual_m: float = 0.0
     unproven: tuple[str, ...] = ()
 
     @property
@@ -147,6 +148,10 @@ def assess(
     moves = wanders_too_far(study, noise, settings)
     if moves > 0.0:
         evidence.append("wandering")
+    usual_m = 0.0
+    if evidence == ["held_out_structure"]:
+        usual_m = as_in_every_robot(study, _size(study, known, ground), noise, settings)
+    evidence = [] if usual_m > 0.0 else evidence
     one_of, names, as_usual = [], [], list[str]()
     for i in final.ids:
         rivals = built.rivals.get(i, ())
@@ -183,7 +188,7 @@ def assess(
     return Assessment(
         built, status, tuple(names), tuple(one_of), study, rest, depends_on, tuple(evidence),
         float(remaining), _hidden(noise, len(study.bench.b), settings), explained, noise, bare, flexible, readings, base_cv,
-        built.reason, asked, pruned.parts, other, tuple(as_usual),
+        built.reason, asked, pruned.parts, other, tuple(as_usual), usual_m,
     )  # fmt: skip
 
 
@@ -264,6 +269,14 @@ def _size(study: Study, known: Block, ground: Ground) -> float:
     with_it = study.observation.whiten.undo(ground.residual.reshape(-1, 3))
     alone = _residual(study, known)
     return rms(alone - with_it)
+
+
+def as_in_every_robot(study: Study, left: float, noise: InferredNoise, settings: Settings) -> float:
+    """The size of structure, m, where it is no larger than what gears of every robot leave; else 0."""
+    if study.ready.kind != "loaded":
+        return 0.0
+    moved = rms(study.observation.of(total_displacement(study.terms, study.observation.scene)))
+    return left if left <= min(settings.usual_structure * moved, settings.usual_beside_noise * noise.inferred_m) else 0.0
 
 
 def _beside_repeats(study: Study, repeats: Repeats) -> float:

@@ -7,10 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite, log, sqrt
 
-from ..effects import Axes, Evidence
-from ..model import Term, displacements, prepared, total_displacement
+import numpy as np
+
+from ..effects import Axes, Evidence, parameters_of
+from ..effects.scene import Scene
+from ..model import Term, displacements, prepared
 from ..model.springs import ROWS_KEPT
+from ..typing import Array
 from .candidates import Trial, supported
+from .evidence import Ground
 from .family import Family
 from .forms import NO_FORMS, Forms, bends, forms_of, steps
 from .priors import FACTORS
@@ -188,21 +193,42 @@ def implausible(one: Explanation, effect_id: str) -> str:
 def usual(one: Explanation, effect_id: str) -> bool:
     """Whether an added effect is not surely larger, by one standard error, than in every robot: it is part of the model and no
     cause."""
-    study = one.study
-    if study.ready.kind not in one.term(effect_id).effect.usual_in:
+    study, term = one.study, one.term(effect_id)
+    effect = term.effect
+    if study.ready.kind not in effect.usual_in:
         return False
     observation, scene = study.observation, study.observation.scene
-    mine = displacements([t for t in study.terms if t.effect.id == effect_id], scene, prepared(study.terms, scene))
     # as differences show it: a station that is turned moves what is read at a reference by centimetres
-    whole = float((observation.of(total_displacement(study.terms, scene)) ** 2).sum())
-    moved = [observation.of(d) for d in mine.values()]
-    own = sum(float((u**2).sum()) for u in moved)
+    moved = {i: observation.of(d) for i, d in displacements(study.terms, scene, prepared(study.terms, scene)).items()}
+    springs = {t.effect.id for t in study.terms if t.effect.elastic or scene.kind == "loaded"}
+    whole = float((sum((u for i, u in moved.items() if i in springs), np.zeros_like(observation.y)) ** 2).sum())
+    own = moved.get(effect_id, np.zeros_like(observation.y))
     # a share that few readings show is known roughly: by one in as many as its displacement has standard deviations of noise
-    seen = sum(float((observation.whiten(u) ** 2).sum()) for u in moved)
-    surely = max(1.0 - 1.0 / sqrt(max(seen, 1e-300)), 0.0)
-    known_only = one.term(effect_id).effect.usual_by_known
-    values = {n: e.value for n, e in one.term(effect_id).estimates.items() if SURELY * e.se <= abs(e.value) or not known_only}
-    return one.term(effect_id).effect.is_usual(values, surely * sqrt(own / max(whole, 1e-300)))
+    surely = max(1.0 - 1.0 / sqrt(max(float((observation.whiten(own) ** 2).sum()), 1e-300)), 0.0)
+    values = {n: e.value for n, e in term.estimates.items() if SURELY * e.se <= abs(e.value) or not effect.usual_by_known}
+    share = sqrt(float((own**2).sum()) / max(whole, 1e-300))
+    if effect.is_usual(values, surely * share, study.ready):
+        return True
+    if scene.kind != "loaded" or effect.usual_visible <= 0.0:
+        return False
+    return _visible(one, effect_id, own) <= effect.usual_visible * sqrt(whole)
+
+
+def also_called(term: Term, scene: Scene) -> str:
+    """Id of another effect that a fitted one may as well be called (`Effect.also_called`), or an empty string."""
+    own = parameters_of(term.effect, scene)
+    errors = [term.estimates[p.name].se if p.name in term.estimates else None for p in own]
+    se = np.array([e if e is not None and isfinite(e) else 0.0 for e in errors])
+    return term.effect.also_called(scene, term.theta(own), se)
+
+
+def _visible(one: Explanation, effect_id: str, moved: Array) -> float:
+    """Root of the sum over readings of the square of an effect's displacement, (m, 3), m, that the rest of the model does not
+    take up: most of friction and of creep looks like softer gears."""
+    study = one.study
+    rest = study.base.take([i for i, owner in enumerate(study.owners) if owner != effect_id])
+    left = Ground(study.bench, rest).beside(study.observation.whiten(moved).ravel())
+    return sqrt(float((study.observation.whiten.undo(left.reshape(-1, 3)) ** 2).sum()))
 
 
 def everywhere(one: Explanation, effect_id: str) -> bool:

@@ -3,8 +3,9 @@
 
 In a loaded session the weight of a tool cancels but for one thing: with it the torque of an axis changes sign elsewhere, where
 play is crossed and a gear is soft. Without it these laws look like nothing in the catalogue. So where neither session nor robot
-description have the tool, its mass is sought: at each of some masses play and stiffening are tried on top of the model. Where the
-mass sits matters little beside how much it is: it is taken half way between the last joint and the TCP.
+description have the tool, its mass is sought: at each of some masses play and stiffening are tried on top of the model, with the
+mass half way between the last joint and the TCP. Where it sits matters less, but it does: a centimetre is 10 N m of a spindle's
+100 kg, and play is crossed within a few. So both are moved then as long as that explains more.
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ from .study import Study
 
 SHARES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)  # of the mass of the moving arm; rated payloads are 0.1 to 0.35 of it
 NEARER = (0.5, 0.25)  # octaves by which the best is moved to either side
+STEPS = (0.2, 0.1, 0.05)  # octaves of the mass, and shares of the way from the last joint to the TCP, by which both are moved
+LEAST_WAY = 0.1  # m
+MOST_STEPS = 4  # of one size to one side
+GAINED = 0.5  # nats, least of a step that is worth it
 NOTE = "no payload is stated, and play or softness of gears turns at the torques of one of"
 
 
@@ -60,12 +65,36 @@ def with_payload_as_shown(
     for octaves in NEARER:
         tried |= {share: gain(share) for share in (best * 2.0**-octaves, best * 2.0**octaves)}
         best = max(tried, key=lambda share: tried[share])
-    payload = _payload(session, best * arm)
+    payload = _moved_where_it_explains_most(session, study, laws, _payload(session, best * arm), check)
     note = (
-        f"{NOTE} about {payload.mass:.2g} kg (log odds {tried[best]:.0f}), which is taken: state it (payload: mass and com in"
-        " tool0)"
+        f"{NOTE} about {payload.mass:.2g} kg at ({', '.join(f'{v:.2f}' for v in payload.com)}) m in tool0 (log odds"
+        f" {tried[best]:.0f}), which is taken: state it (payload: mass and com); these torques tell a lighter one further out"
+        " hardly from a heavier one"
     )
     return replace(carrying(session, payload), notes=(*session.notes, note))
+
+
+def _moved_where_it_explains_most(
+    session: Session, study: Study, laws: Sequence[Effect], start: Payload, check: Callable[[], None]
+) -> Payload:
+    """A payload near another one that explains more by the law that it was found with; mass and each coordinate in turn."""
+    found = _evidence(study, laws, start)
+    most, law = max((odds, name) for name, odds in found.items())
+    laws = [one for one in laws if one.id == law]
+    kin = session.robot.kinematics(session.q[:1])
+    way = max(float(np.linalg.norm(kin.p_tcp[0] - kin.origin[0, -1])), LEAST_WAY)
+    best = start
+    for step in STEPS:
+        for side in (*np.eye(4), *-np.eye(4)):
+            for _ in range(MOST_STEPS):
+                check()
+                x, y, z = (np.array(best.com) + step * way * side[1:]).tolist()
+                there = Payload(best.mass * 2.0 ** float(step * side[0]), (x, y, z))
+                odds = _evidence(study, laws, there).get(law, most)
+                if odds < most + GAINED:
+                    break
+                best, most = there, odds
+    return best
 
 
 def _payload(session: Session, mass: float) -> Payload:

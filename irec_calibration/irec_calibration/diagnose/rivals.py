@@ -9,7 +9,17 @@ from dataclasses import dataclass, field
 from ..effects.traits import Family as Alike
 from .candidates import Option, try_option
 from .evidence import Ground
-from .explanation import Explanation, explain, implausible, in_one_pose, remainder_of, reshaped_again, shown_by_readings, without
+from .explanation import (
+    Explanation,
+    also_called,
+    explain,
+    implausible,
+    in_one_pose,
+    remainder_of,
+    reshaped_again,
+    shown_by_readings,
+    without,
+)  # fmt: skip
 from .family import Family
 from .forms import Forms, follows_step, forms_of
 from .lasting import lasts
@@ -84,8 +94,7 @@ def rivals_of(
             or (term.effect.turns_by_angle and o.effect.turns_by_angle)
         ]
         others |= {i: None for i in (*alike, *gone) if i not in final.ids and i not in others}
-        own_parameters = term.effect.parameters(final.study.ready)
-        also = term.effect.also_called(final.study.ready, term.theta(own_parameters))
+        also = also_called(term, final.study.ready)
         if also and also not in final.ids:
             out[term.effect.id] = ((also, 0.0),)
         if not others:

@@ -234,6 +234,13 @@ class Settings(Thresholds):
         6.5, "nats", "evidence of the strongest such structure, the number tried taken off, that makes a session unexplained",
         "odds of 600: four kinds of structures are tried, so that noise passes for one in less than 1 % of clean sessions",
     )  # fmt: skip
+    usual_structure: float = threshold(
+        0.01, "1", "of the deflection: structure that gears of every robot leave, and no cause, in a loaded session",
+        "chosen; sound gears of an outside simulator (friction, creep, a soft range) left 0.6 to 0.9 %, causes 1.6 and more",
+    )  # fmt: skip
+    usual_beside_noise: float = threshold(
+        1 / 3, "1", "of the noise, beyond which it is no longer that", "chosen; there 0.24 to 0.27, causes 0.4 and more",
+    )  # fmt: skip
     nats_for_wander: float = threshold(
         5.0, "nats", "likelihood that noise correlated in time must gain over independent noise",
         "two parameters are fitted: by chance twice the gain is chi squared of two, above 10 in less than 1 % of sessions",

@@ -65,7 +65,7 @@ def shown_of(
     """
     shown = _named(session, asked, assessment, check)
     assessment = assessment.without_names(unproven(session, assessment, shown.after, check))
-    if assessment.status == "adequate":
+    if assessment.status == "adequate" and not assessment.usual_m:
         return assessment, shown
     effects = stand_ins(session, assessment.built, shown.after, check)
     found = laws(session, assessment, effects[-1].model if effects else shown.after, check)

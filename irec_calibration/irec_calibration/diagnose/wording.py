@@ -18,7 +18,7 @@ from ..robot.ratings import rating_known
 from ..typing import Json
 from .assessment import Assessment
 from .expected_error import ExpectedError
-from .explanation import implausible
+from .explanation import also_called, implausible
 from .part_sets import Parts
 from .result import Candidate, Comparison, Measurement, Verdict
 from .settings import SETTINGS
@@ -62,7 +62,8 @@ def verdict_of(
         parts += _missing(assessment, shown, candidates)
     few = too_few(study.fit)
     if assessment.status == "adequate" and not few:
-        parts.append(f"Nothing shows any other cause than noise{' and what every robot has' if assessment.usual else ''}.")
+        more = " and what every robot has" if assessment.usual or assessment.usual_m else ""
+        parts.append(f"Nothing shows any other cause than noise{more}.")
     parts += [f"One of {', '.join(_label(i) for i in s)} is missing: these data do not tell which." for s in assessment.one_of]
     parts += _why_either(assessment)
     if weightless(study.ready):
@@ -245,7 +246,7 @@ def _why_either(assessment: Assessment) -> list[str]:
     ready = assessment.study.ready
     out: list[str] = []
     for term in assessment.built.final.added:
-        also = term.effect.also_called(ready, term.theta(term.effect.parameters(ready)))
+        also = also_called(term, ready)
         if not also or not any({term.effect.id, also} <= set(s) for s in assessment.one_of):
             continue
         if term.effect.family is not Alike.TORQUE_LAW:
@@ -262,6 +263,11 @@ def _why_either(assessment: Assessment) -> list[str]:
 
 def _rest(assessment: Assessment) -> list[str]:
     """What has structure and no name."""
+    if assessment.usual_m > 0.0:
+        return [
+            f"{length(assessment.usual_m)} of structure is left, no more than gears of every robot leave by friction, creep and a"
+            " soft range about zero torque: no cause to look for."
+        ]
     if not assessment.evidence:
         return []
     more = "A further" if assessment.names else "The residual has"

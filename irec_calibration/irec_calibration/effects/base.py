@@ -116,6 +116,8 @@ class Effect(ABC):
         everywhere: kinds of session in which every robot has it and shows it, only its size is not known.
         usual_in: kinds of session in which it may be no larger than in every robot (`is_usual`).
         usual_by_known: of values that the session does not know by itself that is not asked.
+        usual_visible: share of the deflection, RMS, up to which it is as in every robot whatever its values, counted of what the
+            rest of the model does not take up; in a loaded session.
         beside: id of an effect that a robot which has this one has too: weighed beside that one first, and by itself only where
             that one does not come in.
         completes: id of an effect that every robot has and whose form it completes: never named as a cause, but weighed beside it
@@ -146,6 +148,7 @@ class Effect(ABC):
     everywhere: ClassVar[tuple[str, ...]] = ()
     usual_in: ClassVar[tuple[str, ...]] = ("loaded",)
     usual_by_known: ClassVar[bool] = False
+    usual_visible: ClassVar[float] = 0.0
     beside: ClassVar[str] = ""
     completes: ClassVar[str] = ""
     compliance_of: ClassVar[Axes | None] = None
@@ -222,17 +225,22 @@ class Effect(ABC):
         """
         return ""
 
-    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+    def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         """Whether an effect is no larger than in every robot: it is there then, and no cause that anybody has to look for.
 
         Args:
-            values: parameter -> fitted value; share: RMS of its displacement over that of the whole model.
+            values: parameter -> fitted value; share: RMS of its displacement over that of the whole model, in an absolute session
+                of its springs; scene: the session that they were fitted to.
         """
         return False
 
-    def also_called(self, scene: Scene, theta: Array) -> str:
+    def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         """Id of another effect that these values would be under another torque limit of the drives, where the robot description
-        states none, that begins where they end, or that does the same to all that a session sees; else empty."""
+        states none, that begins where they end, or that does the same to all that a session sees; else empty.
+
+        Args:
+            theta, se: values of all parameters and their standard errors, 0 where these are not known, (p,).
+        """
         return ""
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:

@@ -65,6 +65,7 @@ class BaseCompliance(Effect):
         "reach. Rotation about the base z axis is the same as torsion of axis 1."
     )
     family = Family.SPRING
+    usual_in = ("loaded", "absolute")
     everywhere = ("absolute",)  # there the weight of the arm tilts it, whatever it stands on
     beside = "joint_torsion"
     elastic = True
@@ -96,7 +97,7 @@ class BaseCompliance(Effect):
             *(Ageing(f"r_{a}", tilts.format(a), 1e6 * LOOSE_ROTATION, LOOSE_ROTATION, "loose", LOOK) for a in AXES),
         )
 
-    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+    def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         return share <= USUAL_SHARE
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:

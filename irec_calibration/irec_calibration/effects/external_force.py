@@ -20,7 +20,9 @@ AXES = ("x", "y", "z")
 FOREARM = ("along", "a", "b")  # along the axis of the joint that moves the forearm, and along its two virtual axes
 AT_FLANGE = 0.15  # m from the TCP; about where a head carries its hoses
 WRIST_AXES = 3
-ACROSS = 3.0  # standard errors up to which a force has no component across gravity
+# standard errors, and share of it, up to which a force has no component across gravity
+ACROSS, ACROSS_SHARE = 3.0, 0.1
+USUAL_MASS = 0.1  # of arm and payload: masses of robot descriptions are known so well
 
 
 class ExternalForce(Effect):
@@ -40,6 +42,7 @@ class ExternalForce(Effect):
     needs_elastic = True
     loads_arm = True
     needs = ("relaxed", "weight")
+    usual_in = ("absolute",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         kept: dict[str, tuple[Parameter, ...]] = scene.view.kept  # the same whatever the load: asked by every scene of a fit
@@ -80,17 +83,11 @@ class ExternalForce(Effect):
         return out
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
-        at_tcp, at_wrist = [f"f_{a}" for a in AXES], [f"f_{a}_wrist" for a in AXES]
-        constant = at_wrist if at_wrist[0] in values else at_tcp
-        if scene.kind != "absolute" or set(values) != set(constant):
+        found = _weight_of_another_mass(values, scene)
+        if found is None:
             return ""
-        force, errors = np.array([values[n] for n in constant]).T
-        down = scene.gravity_in_base / max(float(np.linalg.norm(scene.gravity_in_base)), 1e-9)
-        along = float(force @ down)
-        if np.any(np.abs(force - along * down) > ACROSS * errors) or not along:
-            return ""
-        mass = along / max(float(np.linalg.norm(scene.gravity_in_base)), 1e-9)
-        if constant is at_wrist:
+        along, mass, at_wrist = found
+        if at_wrist:
             return (
                 f"a constant force along gravity at the wrist, {along:.3g} N, is no hose but a forearm that is {mass:+.3g} kg"
                 " from what the robot description states; check its masses, and what is mounted there"
@@ -99,6 +96,11 @@ class ExternalForce(Effect):
             f"a constant force along gravity, {along:.3g} N, is no hose but a payload that is {mass:+.3g} kg from what the"
             " session states; check payload.mass"
         )
+
+    def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
+        found = _weight_of_another_mass({name: (value, 0.0) for name, value in values.items()}, scene)
+        carried = float(scene.arm.robot.moved_masses.sum()) + (scene.gravity.payload.mass if scene.gravity.payload else 0.0)
+        return found is not None and abs(found[1]) <= USUAL_MASS * carried
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
         return np.asarray(np.einsum("nijp,nj->nip", change.compliance, _wrenches(scene) @ theta))
@@ -109,6 +111,25 @@ class ExternalForce(Effect):
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Pull(theta, _turning(scene), _forearm(scene), _wrist_centre(scene))
+
+
+def _weight_of_another_mass(values: Mapping[str, tuple[float, float]], scene: Scene) -> tuple[float, float, bool] | None:
+    """A constant force along gravity in an absolute session, N, the mass that it is, kg, and whether it is at the wrist; or None.
+
+    Args:
+        values: parameter -> value and standard error.
+    """
+    at_tcp, at_wrist = [f"f_{a}" for a in AXES], [f"f_{a}_wrist" for a in AXES]
+    constant = at_wrist if at_wrist[0] in values else at_tcp
+    if scene.kind != "absolute" or set(values) != set(constant):
+        return None
+    force, errors = np.array([values[n] for n in constant]).T
+    g = float(np.linalg.norm(scene.gravity_in_base))
+    down = scene.gravity_in_base / max(g, 1e-9)
+    along = float(force @ down)
+    if np.any(np.abs(force - along * down) > np.maximum(ACROSS * errors, ACROSS_SHARE * abs(along))) or not along:
+        return None
+    return along, along / max(g, 1e-9), constant is at_wrist
 
 
 def _wrenches(scene: Scene) -> Array:

@@ -101,7 +101,7 @@ class GeometryError(Effect):
             out[..., 0] = np.einsum("nik,nkl->nil", out[..., 0], follow)
         return out.reshape(n, 3, 6 * nk) * scene.moves_with_arm[:, None, None]
 
-    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+    def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         turned = [v for n, v in values.items() if n.startswith(("zero", "tilt"))]
         moved = [v for n, v in values.items() if not n.startswith(("zero", "tilt"))]
         return all(

@@ -68,12 +68,12 @@ class JointBacklash(Effect):
         near = comes_near_zero(scene, theta[-2] * rated_torque(scene.robot))[scene.driven]
         return np.concatenate([near, near, [True, True]])
 
-    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+    def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         play = [v for n, v in values.items() if n.startswith("b_")]
         axes = sum(play) ** 2 / max(sum(v**2 for v in play), 1e-300)  # how many it is spread over, counted by size
         return max(play, default=0.0) <= USUAL_PLAY and axes >= USUAL_AXES
 
-    def also_called(self, scene: Scene, theta: Array) -> str:
+    def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         driven = np.flatnonzero(scene.driven)
         soft = theta[-2] * rated_torque(scene.robot)[driven]
         wide = may_be_wide(scene, driven, theta[: len(driven)], soft, WIDEST).any()

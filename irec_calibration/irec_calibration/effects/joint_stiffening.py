@@ -74,7 +74,7 @@ class JointStiffening(Effect):
         bent = scene.tau + scene.tau_gravity - before - x_0 * (saturating(acting / x_0) - saturating(before / x_0))
         return (scene.J * bent[:, None, :])[:, :, scene.driven]
 
-    def also_called(self, scene: Scene, theta: Array) -> str:
+    def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         driven = np.flatnonzero(scene.driven)
         soft = theta[-2] * rated_torque(scene.robot)[driven]
         wide = may_be_wide(scene, driven, theta[:-2], soft, WIDEST).all()

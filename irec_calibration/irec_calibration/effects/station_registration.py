@@ -16,6 +16,7 @@ from .traits import Cause, Family
 AXES = ("x", "y", "z")
 # RMS over x, y, z; a first axis or a base frame that is off as every robot's does the same to all that a station sees
 USUAL_RAD = 0.6e-3
+SURELY = 2.0  # standard errors
 
 
 class StationRegistration(Effect):
@@ -52,19 +53,21 @@ class StationRegistration(Effect):
             return turned[:, :, :0]
         return np.concatenate([turned * (scene.station == s)[:, None, None] for s in known], axis=2)
 
-    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+    def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         stations = {n.split("_", 2)[2] for n in values}
         turned = (np.array([values.get(f"w_{a}_{s}", 0.0) for a in AXES]) for s in stations)
         return all(float(np.sqrt(np.mean(w**2))) <= USUAL_RAD for w in turned)
 
-    def also_called(self, scene: Scene, theta: Array) -> str:
-        """A turn of all stations about the first axis (theta, rad) is what the zero of that axis does to all that they see."""
+    def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
+        """A turn of all stations about the first axis (theta, rad) is what the zero of that axis does to all that they see, where
+        they are not surely turned about another axis too."""
         if not len(theta) or scene.kin.is_prismatic[0]:
             return ""
         axis = scene.kin.axis[0, 0]
         turned = theta.reshape(-1, 3)
         about = np.median(turned @ axis)
         rest = turned - about * axis
+        rest = np.maximum(np.abs(rest) - SURELY * se.reshape(-1, 3), 0.0)
         return "geometry_error" if np.sqrt(np.mean(rest**2)) <= USUAL_RAD < abs(about) else ""
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:

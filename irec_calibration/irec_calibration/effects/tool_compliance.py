@@ -18,6 +18,7 @@ AXES = ("x", "y", "z")
 SOFTEST = 5e-6  # m/N, that is physically likely of the tool of a heavy robot
 OVER_ARM = 3.0  # times the typical arm: a softer tool could not be guided
 PAIRS = ((0, 1), (0, 2), (1, 2))
+BACK = (0.0, 0.35, 0.7)
 
 
 class ToolCompliance(Effect):
@@ -25,9 +26,9 @@ class ToolCompliance(Effect):
     label = "tool compliance"
     physics = (
         "The end-effector (spindle, AFP head, sensor, tool changer) deforms between flange and TCP: R K^-1 R^T f with a "
-        "symmetric compliance tensor in tool0. In an absolute session the payload's weight bends it, and turns it about tool0's "
-        "axes. Missing, the residual is constant in the tool frame, proportional to the force and blind "
-        "to the arm's pose."
+        "symmetric compliance tensor in tool0. In an absolute session the payload's weight bends it, and turns it about axes "
+        "parallel to tool0's through the place where it is soft, which is `back` of the way from tool0 to the last joint. "
+        "Missing, the residual is constant in the tool frame, proportional to the force and blind to the arm's pose."
     )
     family = Family.SPRING
     elastic = True
@@ -42,23 +43,29 @@ class ToolCompliance(Effect):
         stiff = typical_compliance(scene.robot)[np.flatnonzero(scene.driven)[-1]]
         limit = STIFFER_THAN * stiff
         turning = [Parameter(f"r_{a}", "rad/(N m)", stiff, lower=0.0, plausible=(0.0, limit), group="turning") for a in AXES]
-        return (*straight, *cross, *turning)
+        if scene.kind != "absolute":
+            return (*straight, *cross, *turning)
+        # models of before turn about tool0
+        return (*straight, *cross, *turning, Parameter("back", "share", 0.3, 0.0, 1.0, start=0.0, grid=BACK))
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         f, torque = scene.load_wrench_in_tool()
-        beyond = np.einsum("nji,nj->ni", scene.kin.R_tool, scene.p_observed - scene.p_tcp)
-        in_tool = np.zeros((len(scene), 3, 9))
+        in_tool = np.zeros((len(scene), 3, len(theta)))
         for a in range(3):
             in_tool[:, a, a] = f[:, a]
         for c, (i, j) in enumerate(PAIRS):
             in_tool[:, i, 3 + c] = f[:, j]
             in_tool[:, j, 3 + c] = f[:, i]
         if scene.kind == "absolute":  # a loaded session and a correction know the force at the TCP, about which it turns nothing
+            kin = scene.kin
+            away = theta[9] * np.einsum("nji,nj->ni", kin.R_tool, kin.origin[:, -1] - kin.p_tcp)  # from tool0 to where it is soft
+            beyond = np.einsum("nji,nj->ni", kin.R_tool, scene.p_observed - kin.p_tcp) - away
+            torque = torque - np.cross(away, f)
             for a in range(3):
                 in_tool[:, :, 6 + a] = np.cross(np.eye(3)[a] * torque[:, a, None], beyond)
         return np.einsum("nij,njp->nip", scene.kin.R_tool, in_tool) * scene.moves_with_arm[:, None, None]
 
-    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+    def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         return share <= USUAL_SHARE
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:

@@ -47,7 +47,7 @@ class TrackerScale(Effect):
             return scene.instruments.modelled_from_station[:, :, None]
         return scene.noise_free_from_station()[:, :, None]
 
-    def is_usual(self, values: Mapping[str, float], share: float) -> bool:
+    def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         return abs(values.get("s", 0.0)) <= USUAL
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:

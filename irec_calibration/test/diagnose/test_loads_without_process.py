@@ -36,6 +36,16 @@ def bends_its_tool(s: Session, p: Array) -> Array:
     return np.asarray(SOFT(s, p) + np.einsum("nij,nj->ni", kin.R_tool, bent))
 
 
+def bends_at_its_flange(s: Session, p: Array) -> Array:
+    """A tool changer that gives way, 0.7 of the way from tool0 to the last joint."""
+    kin = s.robot.kinematics(s.q)
+    weight = s.payload.mass * np.asarray(s.gravity_in_base)
+    changer = kin.p_tcp + 0.7 * (kin.origin[:, -1] - kin.p_tcp)
+    moment = np.cross(kin.p_tcp + kin.R_tool @ np.array(s.payload.com) - changer, weight)
+    turn = np.einsum("nij,nj->ni", kin.R_tool, np.array([4e-5, 2e-5, 1e-5]) * np.einsum("nji,nj->ni", kin.R_tool, moment))
+    return np.asarray(SOFT(s, p) + np.cross(turn, p - changer))
+
+
 def pulled_at_the_tool(s: Session, p: Array) -> Array:
     kin = s.robot.kinematics(s.q)
     J = kin.jacobian(kin.p_tcp)
@@ -55,6 +65,23 @@ def test_the_weight_of_the_payload_bends_a_soft_tool() -> None:
     np.testing.assert_allclose(
         effect.displacement(scene, theta), bends_its_tool(made, scene.p_observed) - SOFT(made, scene.p_observed), atol=1e-12
     )
+
+
+def test_a_tool_may_be_soft_at_its_flange() -> None:
+    made = replace(session(poses=4, noise=NOISE), payload=FULL)
+    scene, effect = scene_of(made), find_effect("tool_compliance")
+    values = {"r_x": 4e-5, "r_y": 2e-5, "r_z": 1e-5, "back": 0.7}
+    theta = np.array([values.get(p.name, 0.0) for p in effect.parameters(scene)])
+    np.testing.assert_allclose(
+        effect.displacement(scene, theta), bends_at_its_flange(made, scene.p_observed) - SOFT(made, scene.p_observed), atol=1e-12
+    )
+
+
+def test_a_tool_that_is_soft_at_its_flange_is_no_link_that_bends() -> None:
+    """Both turn what is mounted about places that are some centimetres apart: the link may be named beside the tool only."""
+    verdict = diagnose(replace(loaded_by(FULL, bends_at_its_flange), payload=FULL)).verdict
+    assert "tool_compliance" in (*verdict.effects, *(i for s in verdict.one_of for i in s)), verdict.text
+    assert "link_bending" not in verdict.effects, verdict.text
 
 
 def test_a_soft_tool_under_its_payload_is_named() -> None:

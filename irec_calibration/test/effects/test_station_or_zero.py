@@ -17,17 +17,18 @@ STATION = find_effect("station_registration")
 
 
 @pytest.mark.parametrize(
-    ("turn", "also"),
+    ("turn", "se", "also"),
     [
-        ((0.0, 0.0, 5e-3), "geometry_error"),
-        ((2e-4, -7e-4, -5e-3), "geometry_error"),  # within what every base frame is off
-        ((3e-3, 0.0, 5e-3), ""),
-        ((0.0, 5e-3, 0.0), ""),
-        ((0.0, 0.0, 3e-4), ""),
+        ((0.0, 0.0, 5e-3), 0.0, "geometry_error"),
+        ((2e-4, -7e-4, -5e-3), 0.0, "geometry_error"),  # within what every base frame is off
+        ((3e-3, 0.0, 5e-3), 0.0, ""),
+        ((3e-3, 0.0, 5e-3), 1.5e-3, "geometry_error"),  # the turn about x may be none
+        ((0.0, 5e-3, 0.0), 0.0, ""),
+        ((0.0, 0.0, 3e-4), 0.0, ""),
     ],
 )
-def test_a_turn_about_the_first_axis_may_be_that_axis_zero(turn: tuple[float, float, float], also: str) -> None:
-    assert STATION.also_called(scene_of(session(3)), np.array(turn)) == also
+def test_a_turn_about_the_first_axis_may_be_that_axis_zero(turn: tuple[float, float, float], se: float, also: str) -> None:
+    assert STATION.also_called(scene_of(session(3)), np.array(turn), np.full(3, se)) == also
 
 
 @cache
