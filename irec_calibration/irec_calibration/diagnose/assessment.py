@@ -152,11 +152,12 @@ def assess(
     if evidence == ["held_out_structure"]:
         usual_m = as_in_every_robot(study, _size(study, known, ground), noise, settings)
     evidence = [] if usual_m > 0.0 else evidence
+    lean = replace(final, added=tuple(t for t in study.terms if t.effect.id in final.ids), study=study)
     one_of, names, as_usual = [], [], list[str]()
     for i in final.ids:
         rivals = built.rivals.get(i, ())
         close = [(odds, r) for r, odds in rivals if odds < settings.nats_over_rival]
-        if usual(final, i):
+        if usual(final, i) or usual(lean, i):
             as_usual.append(i)
         elif close:
             one_of.append(tuple(n for _, n in sorted([(0.0, i), *close])))
