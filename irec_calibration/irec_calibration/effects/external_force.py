@@ -33,7 +33,8 @@ class ExternalForce(Effect):
         "at the reference and under load: J C J^T f_0. Parts of the family: constant in base_link or in tool0; drawn towards a "
         "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); both of these at the wrist, "
         "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
-        "wrist axis, or with the first where it comes from the cell; and a torque, since it does not pull at the TCP. "
+        "wrist axis, or with the first where it comes from the cell; along axes of tool0, turning with a wrist axis, where it is "
+        "fixed to a link of the wrist; and a torque, since it does not pull at the TCP. "
         "Missing, the residual is there whatever the process force and depends on the pose only. In a loaded session a force "
         "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload, or "
         "at the wrist a forearm, of another mass."
@@ -68,6 +69,12 @@ class ExternalForce(Effect):
             ),
             *(pull(f"f_{a}_wrist", "at the wrist") for a in AXES),
             stiffness("k_wrist", "at the wrist towards a point"),
+            *(
+                pull(f"f_{a}_tool_{t}{k + 1}", f"with the tool and axis {k + 1}")
+                for k in _turning_in_tool(scene)
+                for t in ("sin", "cos")
+                for a in AXES
+            ),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
@@ -110,7 +117,7 @@ class ExternalForce(Effect):
         return wrench[:, :3], wrench[:, 3:]
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
-        return _Pull(theta, _turning(scene), _forearm(scene), _wrist_centre(scene))
+        return _Pull(theta, _turning(scene), _forearm(scene), _wrist_centre(scene), _turning_in_tool(scene))
 
 
 def _weight_of_another_mass(values: Mapping[str, tuple[float, float]], scene: Scene) -> tuple[float, float, bool] | None:
@@ -152,6 +159,7 @@ def _wrenches_anew(scene: Scene) -> Array:
     moments = in_tool @ np.stack([np.cross(lever, e) for e in np.eye(3)], axis=2)
     force = [in_tool, unit, -in_tool @ scene.p_tcp[:, :, None], *by_wrist, in_tool @ frame]
     wrist = np.concatenate([in_tool, moments], axis=1)
+    by_wrist_in_tool = [unit * t(scene.q[:, k])[:, None, None] for k in _turning_in_tool(scene) for t in (np.sin, np.cos)]
     return (
         np.concatenate(
             [
@@ -159,6 +167,7 @@ def _wrenches_anew(scene: Scene) -> Array:
                 np.concatenate([none, unit], axis=1),
                 wrist,
                 -wrist @ p_wrist[:, :, None],
+                *(np.concatenate([columns, none], axis=1) for columns in by_wrist_in_tool),
             ],
             axis=2,
         )
@@ -177,6 +186,12 @@ def _turning(scene: Scene) -> list[int]:
     return wrist if scene.kind == "absolute" or wrist[0] == 0 or scene.kin.is_prismatic[0] else [0, *wrist]
 
 
+def _turning_in_tool(scene: Scene) -> list[int]:
+    """Joints of the wrist with whose angle a pull along axes of tool0 may change: what is fixed to a link of the wrist turns so.
+    A session without process shows too little beside the weight to tell it."""
+    return _wrist(scene) if scene.kind == "loaded" else []
+
+
 def _forearm(scene: Scene) -> int:
     """The joint that moves the forearm, the last one before the wrist."""
     return max(_wrist(scene)[0] - 1, 0)
@@ -189,19 +204,20 @@ def _wrist_centre(scene: Scene) -> int:
 
 
 class _Pull(Pull):
-    def __init__(self, theta: Array, turning: list[int], forearm: int, centre: int) -> None:
+    def __init__(self, theta: Array, turning: list[int], forearm: int, centre: int, turning_in_tool: list[int]) -> None:
         self._constant, self._in_tool, self._k = theta[:3], theta[3:6], float(theta[6])
         end = 7 + 6 * len(turning)
         self._by_angle, self._turning = theta[7:end].reshape(-1, 3), turning
         self._by_forearm, self._torque_in_tool = theta[end : end + 3], theta[end + 3 : end + 6]
         self._at_wrist, self._k_wrist = theta[end + 6 : end + 9], float(theta[end + 9])
+        self._by_angle_in_tool, self._turning_in_tool = theta[end + 10 :].reshape(-1, 3), turning_in_tool
         self._has_forearm, self._has_wrist = bool(self._by_forearm.any()), bool(self._at_wrist.any() or self._k_wrist)
         joints = [forearm] * self._has_forearm + [centre] * self._has_wrist
         self.columns = tuple(f"joint_{k + 1}{side}" for k in joints for side in ("", "a", "b"))
 
     def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
-        weights = [w for k in self._turning for w in (math.sin(tick.q[k]), math.cos(tick.q[k]))]
-        out: Array = self._constant + R_tool @ self._in_tool - self._k * p_tcp + np.array(weights) @ self._by_angle
+        in_tool = self._in_tool + _waves(tick.q, self._turning_in_tool) @ self._by_angle_in_tool
+        out: Array = self._constant + R_tool @ in_tool - self._k * p_tcp + _waves(tick.q, self._turning) @ self._by_angle
         if self._has_forearm:
             out += tick.directions[:, :3] @ self._by_forearm
         if self._has_wrist:
@@ -224,3 +240,8 @@ class _Pull(Pull):
         """From three columns a_i at right angles that turn about it: sum of a_i x (p x a_i) = 2 p."""
         out: Array = 0.5 * np.cross(tick.directions[:, -3:], tick.moments[:, -3:], axis=0).sum(axis=1)
         return out
+
+
+def _waves(q: Array, joints: list[int]) -> Array:
+    """Sine and cosine of the angle of each joint, (2 joints,)."""
+    return np.array([w for k in joints for w in (math.sin(q[k]), math.cos(q[k]))])
