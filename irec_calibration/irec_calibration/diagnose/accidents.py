@@ -16,7 +16,7 @@ from ..model import Estimate, Term, total_displacement
 from ..session.data import Session
 from ..typing import Array, IntArray
 from .directions import TYPICAL_DISPLACEMENT
-from .evidence import Ground
+from .ground import Ground
 from .lasting import lasts
 from .remainder import Part, Remainder
 from .settings import SETTINGS, Settings

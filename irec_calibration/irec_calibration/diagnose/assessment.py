@@ -20,10 +20,11 @@ from ..model import Term, total_displacement
 from .bad_readings import put_aside
 from .build import Built
 from .candidates import Trial
-from .evidence import Block, Ground
+from .evidence import Block
 from .explanation import Explanation, usual
 from .family import Family
 from .flexible import Flexible, flexible_gain
+from .ground import Ground
 from .held_out import held_out, only_good_poses
 from .level import Repeats, inferred, repeats_of
 from .naming import one_cause_of_bad_rows

@@ -15,7 +15,8 @@ from ..effects import Effect, Parameter, known_effects
 from ..effects.scene import Scene
 from ..errors import EffectError, SolveError
 from ..typing import Array, BoolArray
-from .evidence import Block, Ground, Posterior
+from .evidence import Block, Posterior
+from .ground import Ground
 from .priors import FACTORS
 from .study import Study
 

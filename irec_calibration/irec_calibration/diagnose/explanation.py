@@ -15,9 +15,9 @@ from ..model import Term, displacements, prepared
 from ..model.springs import ROWS_KEPT
 from ..typing import Array
 from .candidates import Trial, supported
-from .evidence import Ground
 from .family import Family
 from .forms import NO_FORMS, Forms, bends, forms_of, steps
+from .ground import Ground
 from .priors import FACTORS
 from .readings import against, carried
 from .remainder import Part, Remainder, grow

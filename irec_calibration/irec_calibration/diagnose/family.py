@@ -15,7 +15,8 @@ import numpy as np
 
 from ..typing import Array, BoolArray, IntArray
 from .directions import TYPICAL_DISPLACEMENT, drifts, plain, readings, shaped, tilts, two_variables
-from .evidence import Block, Ground
+from .evidence import Block
+from .ground import Ground
 from .memories import memories
 from .ripples import ripples
 from .study import Study

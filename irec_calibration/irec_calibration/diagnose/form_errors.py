@@ -15,9 +15,10 @@ from ..effects import Family
 from ..model import Term, displacement_of
 from ..typing import Array
 from .directions import shapes
-from .evidence import Block, Ground
+from .evidence import Block
 from .explanation import Explanation
 from .forms import forms_of
+from .ground import Ground
 from .settings import Settings
 from .study import Study
 

@@ -21,8 +21,9 @@ from ..effects.scene import Scene
 from ..typing import Array, BoolArray
 from .candidates import block_columns
 from .directions import TYPICAL_DISPLACEMENT
-from .evidence import Block, Ground
+from .evidence import Block
 from .family import Family, Structure
+from .ground import Ground
 from .settings import SETTINGS, Settings
 from .study import Study
 

@@ -16,8 +16,8 @@ from ..identification.observe import Observation
 from ..model import Term
 from ..typing import Array
 from .accidents import accidents
-from .evidence import Ground
 from .family import Family, Structure, family_of, with_bad_rows
+from .ground import Ground
 from .remainder import Part, Remainder, grow
 from .sag import with_sag_as_seen
 from .settings import SETTINGS, Settings

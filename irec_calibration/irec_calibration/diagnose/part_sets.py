@@ -13,7 +13,8 @@ import numpy as np
 from ..effects import Effect
 from ..model import Estimate, Term
 from .candidates import SMALLEST_COLUMN, block_columns, supported
-from .evidence import Block, Ground, Posterior
+from .evidence import Block, Posterior
+from .ground import Ground
 from .priors import FACTORS
 from .settings import SETTINGS
 from .study import Study

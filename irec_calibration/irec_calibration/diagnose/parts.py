@@ -21,8 +21,9 @@ from ..identification.validation import gain
 from ..model import Term
 from ..typing import Json
 from .candidates import SMALLEST_COLUMN, block_columns
-from .evidence import Block, Ground
+from .evidence import Block
 from .family import Family
+from .ground import Ground
 from .held_out import held_out
 from .part_sets import Names, Parts, PartSets
 from .priors import FACTORS

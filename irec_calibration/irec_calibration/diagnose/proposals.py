@@ -18,7 +18,8 @@ from ..errors import SolveError
 from ..model import Term
 from ..typing import Array
 from .candidates import Trial, options, try_option
-from .evidence import Block, Ground
+from .evidence import Block
+from .ground import Ground
 from .held_out import held_out
 from .law_forms import likeliest
 from .remainder import Remainder

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..typing import Array
-from .evidence import Bench, Block, Ground, Products
+from .evidence import Bench, Block, Products
 from .family import Family, Structure
+from .ground import Ground
 from .settings import SETTINGS
 
 

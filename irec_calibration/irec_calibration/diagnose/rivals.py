@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 
 from ..effects.traits import Family as Alike
 from .candidates import Option, try_option
-from .evidence import Ground
 from .explanation import (
     Explanation,
     also_called,
@@ -22,6 +21,7 @@ from .explanation import (
 )  # fmt: skip
 from .family import Family
 from .forms import Forms, follows_step, forms_of
+from .ground import Ground
 from .lasting import lasts
 from .readings import could_carry, proved
 from .remainder import grow

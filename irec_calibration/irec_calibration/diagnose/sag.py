@@ -15,7 +15,7 @@ import numpy as np
 
 from ..identification.observe import Observation
 from ..model import MOST_SAG, sag_of
-from .evidence import Ground
+from .ground import Ground
 from .remainder import Remainder
 from .settings import SETTINGS, Settings
 from .study import Study

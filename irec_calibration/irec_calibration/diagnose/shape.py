@@ -13,7 +13,7 @@ from ..effects import Axes, Parameter
 from ..errors import SolveError
 from ..model import Estimate, Term
 from .candidates import Trial, block_at, block_columns
-from .evidence import Ground
+from .ground import Ground
 from .study import Study, study_of
 
 ROUNDS = 4  # of searches for all shape values of an effect, one after the other

@@ -12,10 +12,11 @@ from ..effects import Axes, Evidence
 from ..effects.scene import Scene
 from ..effects.traits import Family as Alike
 from .candidates import Option, Trial, try_option
-from .evidence import Block, Ground
+from .evidence import Block
 from .explanation import Explanation, explain, reshaped_again
 from .family import Family
 from .forms import bends, forms_of
+from .ground import Ground
 from .naming import refused
 from .priors import LEVELS, log_odds_of_form
 from .readings import by_readings

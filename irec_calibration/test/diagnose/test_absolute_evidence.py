@@ -11,8 +11,9 @@ from absolute_sessions import THREE_MARKERS, session, torsion
 from hypothesis import given
 from hypothesis import strategies as st
 from irec_calibration.diagnose import diagnose, start_terms
-from irec_calibration.diagnose.evidence import Bench, Block, Ground
+from irec_calibration.diagnose.evidence import Bench, Block
 from irec_calibration.diagnose.explanation import Explanation, own_forms
+from irec_calibration.diagnose.ground import Ground
 from irec_calibration.diagnose.level import family_in_view
 from irec_calibration.diagnose.remainder import grow
 from irec_calibration.diagnose.study import prepare

@@ -14,10 +14,11 @@ import pytest
 import synthetic
 from irec_calibration.diagnose import start_terms, tries
 from irec_calibration.diagnose.candidates import options, try_option
-from irec_calibration.diagnose.evidence import Block, Ground
+from irec_calibration.diagnose.evidence import Block
 from irec_calibration.diagnose.explanation import Explanation, explain, implausible, own_forms, without
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.forms import forms_of, has_form_of
+from irec_calibration.diagnose.ground import Ground
 from irec_calibration.diagnose.held_out import held_out, held_out_beside, only_good_poses
 from irec_calibration.diagnose.lasting import lasts
 from irec_calibration.diagnose.parts import without_columns

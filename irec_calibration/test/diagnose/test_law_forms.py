@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import law_forms
-from irec_calibration.diagnose.evidence import Ground
+from irec_calibration.diagnose.ground import Ground
 from irec_calibration.diagnose.held_out import validated
 from irec_calibration.diagnose.improve import improve
 from irec_calibration.diagnose.law_forms import NAMES, _family, _told_apart, forms, likeliest, targets
