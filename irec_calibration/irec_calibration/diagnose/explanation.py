@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite, log, sqrt
 
@@ -209,9 +209,12 @@ def usual(one: Explanation, effect_id: str) -> bool:
     share = sqrt(float((own**2).sum()) / max(whole, 1e-300))
     if effect.is_usual(values, surely * share, study.ready):
         return True
-    if scene.kind != "loaded" or effect.usual_visible <= 0.0:
+    if scene.kind != "loaded":
         return False
-    return _visible(one, effect_id, own) <= effect.usual_visible * sqrt(whole)
+    # two of them that do what one cause does take it up from each other, and are seen together only
+    most = {t.effect.id: t.effect.usual_visible * sqrt(whole) for t in one.added if t.effect.usual_visible > 0.0}
+    small = [i for i, largest in most.items() if i in moved and _visible(one, [i], moved) <= largest]
+    return effect_id in small and _visible(one, small, moved) <= sum(most[i] for i in small)
 
 
 def also_called(term: Term, scene: Scene) -> str:
@@ -222,12 +225,17 @@ def also_called(term: Term, scene: Scene) -> str:
     return term.effect.also_called(scene, term.theta(own), se)
 
 
-def _visible(one: Explanation, effect_id: str, moved: Array) -> float:
-    """Root of the sum over readings of the square of an effect's displacement, (m, 3), m, that the rest of the model does not
-    take up: most of friction and of creep looks like softer gears."""
+def _visible(one: Explanation, ids: Sequence[str], moved: Mapping[str, Array]) -> float:
+    """Root of the sum over readings of the square of what effects move, m, that the rest of the model does not take up: most of
+    friction and of creep looks like softer gears.
+
+    Args:
+        moved: displacement that is observed of each effect, (m, 3), m.
+    """
     study = one.study
-    rest = study.base.take([i for i, owner in enumerate(study.owners) if owner != effect_id])
-    left = Ground(study.bench, rest).beside(study.observation.whiten(moved).ravel())
+    rest = study.base.take([i for i, owner in enumerate(study.owners) if owner not in ids])
+    together = study.observation.whiten(sum((moved[i] for i in ids), np.zeros_like(study.observation.y)))
+    left = Ground(study.bench, rest).beside(together.ravel())
     return sqrt(float((study.observation.whiten.undo(left.reshape(-1, 3)) ** 2).sum()))
 
 

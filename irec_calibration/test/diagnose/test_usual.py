@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.commands.improve import in_words
-from irec_calibration.diagnose import Ladder, assessment, diagnose, improve, start_terms
+from irec_calibration.diagnose import Ladder, assessment, diagnose, explanation, improve, start_terms
 from irec_calibration.diagnose.assessment import as_in_every_robot
 from irec_calibration.diagnose.explanation import Explanation, usual
 from irec_calibration.diagnose.family import family_of
@@ -137,6 +137,17 @@ def test_small_structure_of_sound_gears_is_told_and_is_no_cause(monkeypatch: pyt
     assert "of structure is left, no more than gears of every robot leave" in found.verdict.text
     monkeypatch.undo()
     assert diagnose(synthetic.session(poses=40, seed=2, extra=goes_with_another_angle)).verdict.status == "unexplained"
+
+
+@pytest.mark.parametrize(("together", "usual_"), [(0.0, True), (np.inf, False)])
+def test_effects_that_take_one_cause_up_from_each_other_are_looked_at_together(monkeypatch, together, usual_) -> None:
+    plain = study(lambda scene: np.zeros((len(scene), 3)))
+    play = Term(find_effect("joint_backlash"), {"b_2": Estimate(1e-3, unit="rad")})
+    soft = Term(find_effect("joint_stiffening"), {"a_2": Estimate(-1e-7, unit="rad/(N m)")})
+    both = study_of(plain.observation, (*plain.terms, play, soft))
+    one = Explanation(both.terms[-2:], both, 0.0, grow(both.bench, family_of(both), both.base))
+    monkeypatch.setattr(explanation, "_visible", lambda one, ids, moved: together if len(ids) > 1 else 0.0)
+    assert usual(one, "joint_stiffening") == usual_
 
 
 def goes_with_another_angle(scene: Scene) -> NDArray[np.float64]:
