@@ -16,12 +16,14 @@ from dataclasses import replace
 from math import log
 
 import numpy as np
+from scipy.optimize import minimize
 
 from ..effects import Effect, known_effects
 from ..effects.of_session import carrying
 from ..effects.traits import Family
 from ..robot import Payload
 from ..session.data import Session
+from ..typing import Array
 from .candidates import try_effect
 from .family import family_of
 from .remainder import grow
@@ -33,6 +35,7 @@ NEARER = (0.5, 0.25)  # octaves by which the best is moved to either side
 STEPS = (0.2, 0.1, 0.05)  # octaves of the mass, and shares of the way from the last joint to the TCP, by which both are moved
 LEAST_WAY = 0.1  # m
 MOST_STEPS = 4  # of one size to one side
+MOST_TRIED = 90  # payloads, of the search after that
 # of the law's evidence, what may have no name beside it; chosen: payloads on simulators left 0 to 0.09, play of a bearing 0.25
 LEAST_KNOWN = 0.15
 GAINED = 0.5  # nats, least of a step that is worth it
@@ -95,13 +98,27 @@ def _moved_where_it_explains_most(
         for side in (*np.eye(4), *-np.eye(4)):
             for _ in range(MOST_STEPS):
                 check()
-                x, y, z = (np.array(best.com) + step * way * side[1:]).tolist()
-                there = Payload(best.mass * 2.0 ** float(step * side[0]), (x, y, z))
+                there = _beside(best, step * side, way)
                 odds = _evidence(study, laws, there).get(law, most)
                 if odds < most + GAINED:
                     break
                 best, most = there, odds
-    return best
+
+    def loss(moved: Array) -> float:
+        check()
+        return -_evidence(study, laws, _beside(best, moved, way)).get(law, 0.0)
+
+    # mass and place depend on each other: along the valley that steps of one at a time leave
+    simplex = np.concatenate([np.zeros((1, 4)), np.diag([-STEPS[0], STEPS[1], STEPS[1], STEPS[1]])])
+    options = {"maxfev": MOST_TRIED, "initial_simplex": simplex, "fatol": GAINED}
+    found = minimize(loss, np.zeros(4), method="Nelder-Mead", options=options)
+    return _beside(best, found.x, way) if -found.fun > most + GAINED else best
+
+
+def _beside(payload: Payload, moved: Array, way: float) -> Payload:
+    """A payload with another mass, by octaves, and elsewhere, by shares of a way, m; moved: (4,)."""
+    x, y, z = (np.array(payload.com) + way * moved[1:]).tolist()
+    return Payload(payload.mass * 2.0 ** float(moved[0]), (x, y, z))
 
 
 def _without_a_name(study: Study, law: Effect, payload: Payload) -> float:
