@@ -18,7 +18,7 @@ AXES = ("x", "y", "z")
 SOFTEST = 5e-6  # m/N, that is physically likely of the tool of a heavy robot
 OVER_ARM = 3.0  # times the typical arm: a softer tool could not be guided
 PAIRS = ((0, 1), (0, 2), (1, 2))
-BACK = (0.0, 0.35, 0.7)
+BACK = (0.0, 0.35, 0.7)  # of the way from tool0 to the last joint, where a tool may be soft; the best is refined
 
 
 class ToolCompliance(Effect):
