@@ -28,6 +28,7 @@ LINE = 0.08  # m
 SPEED = 0.05  # m/s
 PUSH = 200.0  # N, and ACROSS of it sideways: what every force sensor and surface bears
 ACROSS = 0.15
+FARTHEST = 0.02  # m from where the tool was a few millimetres above the surface
 OFFSET = 1e-3  # m
 FAR = 0.1  # m
 
@@ -90,11 +91,20 @@ def pressing(client: DriverClient, settings: Settings) -> list[Item]:
     """From a few millimetres above a surface that somebody has confirmed; each driver goes there at its own speed."""
     none = np.zeros(3)
 
-    def in_contact(seconds: float) -> None:
-        """Until the tool presses, either way, and some seconds more, of the cell's clock; no longer than a load case has."""
+    def in_contact(seconds: float) -> float:
+        """Until the tool presses, either way, and some seconds more, of the cell's clock; no longer than a load case has, and no
+        further than a surface can be. Returns how far the tool has gone, m."""
         begin, longest = client.now, settings.timeouts["settle"]
-        client.wait(lambda: abs(client.last("wrench")[2]) > 0.5 * PUSH or client.now > begin + longest, "contact", 10.0 * longest)
+
+        def gone() -> float:
+            return float(np.linalg.norm(client.tcp()[0] - p0))
+
+        def ends() -> bool:
+            return abs(client.last("wrench")[2]) > 0.5 * PUSH or client.now > begin + longest or gone() > FARTHEST
+
+        client.wait(ends, "contact", 10.0 * longest)
         client.pause(seconds)
+        return gone()
 
     _, lease, retract = client.switch(SetControlMode.Request.POSITION, none)
     down = np.array([0.0, 0.0, -PUSH])
@@ -105,7 +115,14 @@ def pressing(client: DriverClient, settings: Settings) -> list[Item]:
     client.wait(lambda: client.last("robot/state")[0] == 1.0 or client.now - begin > 2.0, "robot/state")
     state_late = client.now - begin
     held = []
-    in_contact(0.0)
+    way = in_contact(0.0)
+    if way > FARTHEST:
+        client.pressing = None
+        client.switch(SetControlMode.Request.POSITION, none)
+        client.move_line(p0, R0, SPEED)
+        advice = "is the sign of the set point that of the wrench? is the surface where the first pose has it?"
+        figure, limit = f"none within {1e3 * way:.0f} mm", f"{1e3 * FARTHEST:g} mm"
+        return [Item("pressing", "the tool comes into contact", False, figure, limit, advice)]
     for force in (down, down + [ACROSS * PUSH, 0.0, 0.0], down + [0.0, -ACROSS * PUSH, 0.0]):
         client.pressing = force
         client.pause(3.0)
