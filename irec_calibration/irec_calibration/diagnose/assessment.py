@@ -157,11 +157,10 @@ def assess(
     one_of, names, as_usual = [], [], list[str]()
     for i in final.ids:
         rivals = built.rivals.get(i, ())
-        close = [(odds, r) for r, odds in rivals if odds < settings.nats_over_rival]
         if usual(final, i) or usual(lean, i):
             as_usual.append(i)
-        elif close:
-            one_of.append(tuple(n for _, n in sorted([(0.0, i), *close])))
+        elif rivals:
+            one_of.append(tuple(n for _, n in sorted([(0.0, i), *((odds, r) for r, odds in rivals)])))
         else:
             names.append(i)
     names.sort(key=lambda i: -built.evidence.get(i, 0.0))

@@ -132,13 +132,15 @@ def odds_of(
         odds = min(odds - settings.nats_to_name, own + more - instead + told)
     if in_one_pose(one, effect_id):  # differences don't tell it from a bad pose, the readings of later poses may
         odds += lasts(one.study, one.term(effect_id))
-    if (with_exact.steps or with_exact.angles) and not any(with_exact.has(p.structure) for p in one.remainder.structures):
-        # settling, friction and an encoder's harmonics are exact members of such a curve: where none is left beside them, it
-        # loses nothing by standing for them, as what else would do in their place does
+    if (with_exact.steps or with_exact.angles) and _of_form(one, with_exact) < settings.nats_to_name:
+        # settling, friction and an encoder's harmonics are exact members of such a curve: where nothing that counts is left
+        # beside them, it loses nothing by standing for them, as what else would do in their place does
         in_place, left = beside(with_exact)
         # by its last step an axis turns for these two reasons only: a curve that explains as much is one of them
         told = settings.nats_to_separate if with_exact.steps else 0.0
         odds = min(odds + told, own + left - in_place - settings.share_of_form * max(in_place - left, 0.0))
+        # one that by itself explains less than the curve of the angle it stands for is none of these
+        odds -= max(_of_form(bare, replace(with_exact, steps=frozenset())) - own, 0.0)
     else:
         odds -= settings.share_of_form * max(in_place - left, 0.0)
     if in_one_pose(one, effect_id):
@@ -146,6 +148,11 @@ def odds_of(
     odds -= lent_by_drifts(start, one, bare, effect_id, family, settings)
     odds = max(odds, with_others_by_step(start, one, bare, effect_id, family))
     return max(odds, min(odds + needed(one, effect_id, settings) - settings.nats_over_structure, own))
+
+
+def _of_form(one: Explanation, forms: Forms) -> float:
+    """Evidence of what a model leaves to structures of some forms, nats."""
+    return sum(p.log_evidence for p in one.remainder.structures if forms.has(p.structure))
 
 
 def lent_by_drifts(

@@ -46,13 +46,14 @@ def questions(assessment: Assessment) -> tuple[Question, ...]:
 
 
 def _rivals(assessment: Assessment) -> tuple[Question, ...]:
-    built, needed = assessment.built, SETTINGS.nats_over_rival
+    built = assessment.built
     out = []
     for name, rivals in built.rivals.items():
         for rival, odds in rivals if name not in assessment.usual else ():
             found = built.rival_models.get((name, rival))
             if found is not None:
-                asked = needed + found.share * found.own  # of either, where it is the right one
+                # of either, where it is the right one
+                asked = max(SETTINGS.nats_to_name, SETTINGS.nats_over_rival + found.share * found.own)
                 lacks = (max(asked - found.odds, 0.0), max(asked + found.odds, 0.0))
                 out.append(Question((name, rival), built.final.study, found.model.study, lacks, float(expit(odds))))
     return tuple(out)

@@ -68,7 +68,7 @@ class Verdict:
         usual: effects that are there as in every robot: part of an improved model, no cause to look for.
         hidden_m: how large a cause outside the catalogue could be and not be seen, m.
         explained: share of the explainable excess that the named effects (or the best try) explain.
-        confident: the first name stands alone; otherwise others explain the session as well.
+        confident: no effect is one of several.
         parts: of each named effect that acts in axes or directions: which of them the session proves. An axis that is not
             among the proven ones is not to be acted upon.
         too_few: `adequate` for want of poses or equations: nothing is said of the model.

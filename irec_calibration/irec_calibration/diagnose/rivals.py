@@ -51,7 +51,7 @@ class Rivals:
     """What would do in the place of names.
 
     Attributes:
-        of: added effect -> others and the odds against each, nats; below `nats_over_rival` the name is one of several.
+        of: added effect -> others and the odds against each, nats: it is one of these and itself.
         likelier: models in which another effect stands in a name's place and explains the session better by more than what is not
             told apart, each with the model without either; the likeliest first.
         models: (added effect, rival) -> the rival in its place.

@@ -51,7 +51,6 @@ def verdict_of(
     poses = len(study.bench.poses)
     weight = assessment.weight_wrong
     ids = [*assessment.names, *([READ_AT_REFERENCES.id] if weight else ())]
-    rivals = {i: tuple(r for r, _ in assessment.built.rivals.get(i, ())) for i in assessment.names}
     parts = [
         f"The model leaves {length(comparison.rms_m)} ({length(shown.asked.held_out.rms_m)} on held-out poses);"
         f" noise explains {length(assessment.noise.inferred_m)}."
@@ -99,9 +98,6 @@ def verdict_of(
             f" flange: a tool mass wrong by {assessment.readings.mass:.2f} +- {assessment.readings.mass_se:.2f} kg"
             " in the weight removal."
         )
-    for one, others in rivals.items():
-        if others:
-            parts.append(f"On this session {_label(one)} can't be told for sure from {', '.join(map(_label, others))}.")
     parts += _rivals_apart(assessment, planned)
     if assessment.status == "missing_effect":
         parts += _apart(assessment, planned)
@@ -120,7 +116,7 @@ def verdict_of(
         depends_on=assessment.depends_on,
         size_m=_size(assessment, shown),
         explained=assessment.explained,
-        confident=not any(rivals.values()),
+        confident=not assessment.one_of,
         remaining_m=assessment.remaining_m,
         evidence=evidence,
         one_of=assessment.one_of,

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from .state import ElasticResponse
 from .traits import Family
 
 SAME_LOAD = 0.05  # without memory the clock starts anew where the elastic deflection changes by more than this share of itself
+APART_OR_NOT = (0.0, 1.0, 2.0)
+CARRIED = 1.5  # `apart` from which gears keep from pose to pose what they have crept
 SHORTEST = 0.05  # s, time constant at least
 APART = 5.0  # factor between three time constants where `spread` is 1
 
@@ -27,7 +30,8 @@ class Creep(Effect):
         "Gears, tool or rubber go on yielding under a load that stays: a share of the elastic deflection times 1 - "
         "exp(-t/T), t since the load was applied; with memory 1 what was reached under the load before is kept "
         "(Kelvin-Voigt), with 0 another load begins anew. With spread 0 there is one time constant T, else three about it "
-        "(generalised Kelvin-Voigt). With apart 1 gears differ: the one of axis k creeps by a compliance d_k beside that share. "
+        "(generalised Kelvin-Voigt). With apart 1 gears differ: the one of axis k creeps by a compliance d_k beside that share; "
+        "with apart 2 they do so alone, and keep from pose to pose what they have crept, under the weight of the arm too. "
         "Missing, the residual grows with the dwell under load."
     )
     family = Family.TIME
@@ -43,14 +47,24 @@ class Creep(Effect):
             Parameter(f"d_{k + 1}", "rad/(N m)", 0.1 * soft[k], plausible=(-5.0 * soft[k], 5.0 * soft[k]), axis=int(k))
             for k in np.flatnonzero(scene.driven)
         )
+        how = APART_OR_NOT[: 3 if scene.kind == "loaded" else 2]
         return (
             Parameter("share", "1", 0.1, lower=0.0, plausible=(0.0, 1.0)),
             Parameter("T", "s", 10.0, min(shortest, 10.0), 1e5, start=10.0, grid=grid or (10.0,)),
             Parameter("memory", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0)),
             Parameter("spread", "1", 1.0, 0.0, 2.0, start=0.0, grid=(0.0, 1.0)),
             *gears,
-            Parameter("apart", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0)),
+            Parameter("apart", "0, 1 or 2", 1.0, 0.0, 2.0, start=0.0, grid=how, kinds=True),
         )
+
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
+        theta = np.array([values.get(p.name, (0.0, 0.0))[0] for p in self.parameters(scene)])
+        elastic = scene.response.displacement
+        of_gears = np.einsum("nik,nk->ni", scene.J[:, :, scene.driven], scene.tau[:, scene.driven] * theta[4:-1])
+        in_the_end = theta[0] * (theta[-1] < CARRIED) * elastic + of_gears * (theta[-1] >= 0.5)
+        if np.vdot(in_the_end, elastic) >= 0.0:
+            return ""
+        return "it would take deflection back under a load that stays, as a force sensor that creeps may and no gear does"
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         return self._columns(scene, theta) @ _linear(theta)
@@ -68,11 +82,16 @@ class Creep(Effect):
         _, T, memory, spread, *_, apart = theta
         gears = (scene.J * scene.tau[:, None, :])[:, :, scene.driven] * (apart >= 0.5)
         elastic = np.zeros((len(scene), 3)) if scene.elastic is None else scene.elastic.displacement
-        return self._crept(scene, np.concatenate([elastic[:, :, None], gears], axis=2), T, memory, spread)
+        out = self._crept(scene, np.concatenate([elastic[:, :, None], gears], axis=2), T, memory, spread)
+        if apart >= CARRIED:
+            reached = np.mean([_carried(scene, t) for t in time_constants(T, spread)], axis=0)
+            out[:, :, 0] = 0.0  # what springs and links yield is not known by axis
+            out[:, :, 1:] = (scene.J * reached[:, None, :])[:, :, scene.driven]
+        return out
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
-        _, T, memory, spread, *_ = theta
-        return np.asarray(theta[0] * self._crept(scene, change.displacement, T, memory, spread))
+        share, T, memory, spread, *_, apart = theta
+        return np.asarray(share * (apart < CARRIED) * self._crept(scene, change.displacement, T, memory, spread))
 
     def _crept(self, scene: Scene, v: Array, T: float, memory: float, spread: float) -> Array:
         """What has crept of displacements v, (n, 3[, p]), under loads that have the elastic response of the scene."""
@@ -99,7 +118,20 @@ class Creep(Effect):
         gears = np.zeros(scene.n_joints)
         gears[scene.driven] = theta[4:-1] * (theta[-1] >= 0.5)
         share, T, memory, spread = theta[:4]
+        if theta[-1] >= CARRIED:
+            share, memory = 0.0, 1.0
         return _Creep(share, T, memory, spread, gears)
+
+
+def _carried(scene: Scene, T: float) -> Array:
+    """What the torque about each axis has become behind a lag of T s over a whole session, (n, k), N m. The weight of the arm is
+    a part of it where a marker is measured: it is none of what the process force causes."""
+    tau = scene.tau + scene.tau_gravity if scene.view.sags else scene.tau
+    out, order = tau.copy(), np.lexsort((scene.load_case, scene.stamp))
+    kept = np.exp(-np.diff(scene.stamp[order]) / T)
+    for last, row, share in zip(order, order[1:], kept, strict=False):
+        out[row] += share * (out[last] - tau[row])
+    return np.asarray(out)
 
 
 def _linear(theta: Array) -> Array:

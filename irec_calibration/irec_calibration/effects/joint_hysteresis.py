@@ -26,8 +26,9 @@ RESOLVED = 1e-4  # rad; a smaller step is none
 TURNS = 0.01  # rad of travel after which friction points against it
 SHAPE = 4  # parameters that enter nonlinearly, the last ones
 SLIDERS = ("h", "early", "late")  # of each axis, with thresholds r, r / APART, r APART
-# share of the deflection, RMS, and axes; chosen: outside simulators whose gears all have some friction have 0.3 to 2.2 %
-USUAL_FRICTION, USUAL_AXES = 0.025, 3
+# share of the deflection, RMS, and axes; chosen: outside simulators whose gears all have some friction have 0.3 to 2.8 %, and
+# where friction is a cause 4 % and more
+USUAL_FRICTION, USUAL_AXES = 0.03, 3
 USUAL_LAG = 5e-5  # rad, of lost motion by friction in an absolute session: a sixth of an arc minute, as sound gears have
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gears that creep alike, and gears of which each creeps by its own share."""
+"""Gears that creep alike, gears of which each creeps by its own share, gears that creep under the weight of the arm from pose to
+pose, and a force sensor whose reading creeps, which no gear does."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import synthetic
-from irec_calibration.diagnose import Ladder, improve
+from irec_calibration.diagnose import Ladder, diagnose, improve
 from irec_calibration.effects.scene import Scene
 from irec_calibration.typing import Array
 from test_diagnose import session, turned
@@ -48,3 +49,32 @@ def test_creep_is_named_and_gears_creep_apart_where_the_session_shows_it(share: 
 def test_a_gear_that_creeps_more_than_another_has_more_compliance_of_its_own() -> None:
     _, values = found(APART)
     assert values["d_2"] / synthetic.COMPLIANCE[1] > values["d_1"] / synthetic.COMPLIANCE[0] + 0.1
+
+
+def creeping_under_the_weight(scene: Scene) -> Array:
+    """Each gear goes on within some 20 s, whatever turns it, also from one pose to the next."""
+    in_the_end = APART * synthetic.COMPLIANCE * (scene.tau + scene.tau_gravity)
+    angle = in_the_end.copy()
+    for row in range(1, len(angle)):
+        kept = np.exp(-(scene.stamp[row] - scene.stamp[row - 1]) / 20.0)
+        angle[row] = in_the_end[row] + (angle[row - 1] - in_the_end[row]) * kept
+    return turned(scene, angle)
+
+
+@pytest.mark.slow
+def test_gears_that_creep_under_the_weight_from_pose_to_pose_creep_and_have_no_friction() -> None:
+    ladder = improve(session(creeping_under_the_weight))
+    creep = next(t for t in ladder.rungs[-1].model.terms if t.effect.id == "creep")
+    assert ladder.before.verdict.effects == ("creep",), ladder.before.verdict.text
+    assert creep.estimates["apart"].value == 2.0
+
+
+def read_too_high_the_longer_it_lasts(scene: Scene) -> Array:
+    """The force sensor reads 0.3 of each load too much within some 6 s: what acts falls behind what is read."""
+    return np.asarray(-creeping(np.full(6, 0.3))(scene))
+
+
+def test_a_force_sensor_whose_reading_creeps_is_no_creep_of_gears() -> None:
+    verdict = diagnose(session(read_too_high_the_longer_it_lasts)).verdict
+    assert "creep" not in verdict.effects and not any("creep" in s for s in verdict.one_of), verdict.text
+    assert verdict.status == "unexplained", verdict.text

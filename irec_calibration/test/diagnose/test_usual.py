@@ -68,7 +68,7 @@ def test_lost_motion_of_a_third_of_an_arc_minute_in_several_gears_is_usual(play,
     assert find_effect("joint_backlash").is_usual(values, 0.03, LOADED) == usual
 
 
-@pytest.mark.parametrize(("share", "axes", "usual"), [(0.02, 4, True), (0.03, 4, False), (0.02, 2, False)])
+@pytest.mark.parametrize(("share", "axes", "usual"), [(0.02, 4, True), (0.035, 4, False), (0.02, 2, False)])
 def test_friction_of_a_hundredth_of_the_deflection_in_several_gears_is_usual(share, axes, usual) -> None:
     values = {f"h_{k + 1}": 2e-9 for k in range(axes)} | {"late_6": 0.0, "r": 0.03, "freed": 100.0}
     assert find_effect("joint_hysteresis").is_usual(values, share, LOADED) == usual
