@@ -21,7 +21,7 @@ from .bad_readings import put_aside
 from .build import Built
 from .candidates import Trial
 from .evidence import Block
-from .explanation import Explanation, usual
+from .explanation import Explanation, also_called, usual
 from .family import Family
 from .flexible import Flexible, flexible_gain
 from .ground import Ground
@@ -157,6 +157,9 @@ def assess(
     one_of, names, as_usual = [], [], list[str]()
     for i in final.ids:
         rivals = built.rivals.get(i, ())
+        also = _also_read(lean.term(i), pruned.parts.get(i, Parts()), study)
+        if also and also not in (*final.ids, *(n for n, _ in rivals)):
+            rivals = (*rivals, (also, 0.0))
         if usual(final, i) or usual(lean, i):
             as_usual.append(i)
         elif rivals:
@@ -206,6 +209,15 @@ def wanders_too_far(study: Study, noise: InferredNoise, settings: Settings) -> f
 def only_bad_rows(study: Study, family: Family) -> Remainder:
     """A remainder of readings that stand out, and of nothing else."""
     return grow(study.bench, family, study.base, without=lambda s: not s.is_bad_row)
+
+
+def _also_read(term: Term, parts: Parts, study: Study) -> str:
+    """Another name for what is proven of an effect on the force sensor's reading, or an empty string."""
+    if term.effect.family is not Alike.SENSOR or not parts.proven:
+        return ""
+    groups = {p.name: p.group for p in term.effect.parameters(study.ready)}
+    proven = {n: e for n, e in term.estimates.items() if groups[n] in parts.proven}
+    return also_called(replace(term, estimates=proven), study.ready)
 
 
 def _beside(one: Explanation, forms: bool = False) -> Block:

@@ -15,6 +15,7 @@ from .traits import Family
 
 NAMES = ("e_xx", "e_yy", "e_xy", "e_xz", "e_yx", "e_yz", "e_zx", "e_zy")
 LIMIT = 0.5
+SURELY = 2.0  # standard errors
 LEAST_BESIDE_TURNING = 0.1  # of the turning part, that E has besides: axes that read each other by chance don't turn the force
 
 
@@ -50,6 +51,14 @@ class SensorGain(Effect):
             return ""
         angle = turns / np.sqrt(2.0)
         return f"it turns the force by {angle:.3g} rad and changes it by less than a tenth of that: a turned sensor"
+
+    def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
+        """Crosstalk that turns the force, by more than its errors, and does nothing else beyond them may be a turned sensor."""
+        E, wide = crosstalk(theta), SURELY * np.abs(crosstalk(se))
+        both = np.hypot(wide, wide.T)  # of E_ij + E_ji and of E_ij - E_ji
+        turns = np.abs(E - E.T) > both
+        besides = (np.abs(E + E.T) > both) & ~np.eye(3, dtype=bool) | np.diag(np.abs(np.diag(E)) > np.diag(wide))
+        return "sensor_alignment" if turns.any() and not besides.any() else ""
 
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
         return scene.force_in_tool @ (np.eye(3) + crosstalk(theta)).T, scene.torque_in_tool

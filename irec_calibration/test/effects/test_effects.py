@@ -297,3 +297,19 @@ def test_a_crosstalk_that_only_turns_the_force_is_a_turned_sensor(scene):
     assert gain.why_impossible({"e_xy": (0.15, 0.01)}, {}, scene) == ""
     assert gain.why_impossible({"e_xy": (0.15, 0.01), "e_yx": (-0.1, 0.01)}, {}, scene) == ""
     assert gain.why_impossible({"e_xx": (0.02, 0.01)}, {}, scene) == ""
+
+
+@pytest.mark.parametrize(
+    ("e", "called"),
+    [
+        ({"e_xy": -0.08, "e_yx": 0.1}, "sensor_alignment"),  # alike within errors
+        ({"e_xy": -0.02, "e_yx": 0.02}, ""),  # it may be none
+        ({"e_xy": -0.1}, ""),  # one axis reads another, which does not read it
+        ({"e_xx": 0.1, "e_xy": -0.1, "e_yx": 0.1}, ""),
+    ],
+)
+def test_crosstalk_that_only_turns_the_force_may_as_well_be_a_turned_sensor(e, called) -> None:
+    gain, scene = find_effect("sensor_gain"), scene_of(session(poses=2))
+    names = [p.name for p in gain.parameters(scene)]
+    theta = np.array([e.get(n, 0.0) for n in names])
+    assert gain.also_called(scene, theta, np.where(theta != 0.0, 0.017, 0.0)) == called
