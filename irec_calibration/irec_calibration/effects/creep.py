@@ -124,9 +124,9 @@ class Creep(Effect):
 
 
 def _carried(scene: Scene, T: float) -> Array:
-    """What the torque about each axis has become behind a lag of T s over a whole session, (n, k), N m. The weight of the arm is
-    a part of it where a marker is measured: it is none of what the process force causes."""
-    tau = scene.tau + scene.tau_gravity if scene.view.sags else scene.tau
+    """What the torque about each axis has become behind a lag of T s over a whole session, (n, k), N m. It has the weight of the
+    arm, by which the tool moves between reference and row too; the live correction, which knows no reference, leaves that out."""
+    tau = scene.tau + scene.tau_gravity
     out, order = tau.copy(), np.lexsort((scene.load_case, scene.stamp))
     kept = np.exp(-np.diff(scene.stamp[order]) / T)
     for last, row, share in zip(order, order[1:], kept, strict=False):

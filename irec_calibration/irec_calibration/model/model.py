@@ -112,7 +112,8 @@ class Model:
 
         In `loaded` sessions what the process force causes since the row's reference, evaluated at the force that really acts
         (sensor effects) on the arm as it stands: what a geometry error makes of the commanded displacement, what is left of a
-        motion, what passes with time and what only instruments see is no part of it, as in the live correction. In `absolute`
+        motion, what passes with time and what only instruments see is no part of it, as in the live correction; what gears still
+        creep under the arm's weight, where the model says so, is (the live correction leaves it out). In `absolute`
         sessions where the physical TCP is relative to the controller's, without what passes with time and what only instruments
         see.
 
