@@ -124,14 +124,15 @@ class Creep(Effect):
 
 
 def _carried(scene: Scene, T: float) -> Array:
-    """What the torque about each axis has become behind a lag of T s over a whole session, (n, k), N m. It has the weight of the
-    arm, by which the tool moves between reference and row too; the live correction, which knows no reference, leaves that out."""
+    """What the torque about each axis has become behind a lag of T s over a whole session, (n, k), N m, less that of the weight
+    when all is done. By what the weight still does the tool moves between reference and row too; the live correction, which knows
+    no reference, leaves that out."""
     tau = scene.tau + scene.tau_gravity
     out, order = tau.copy(), np.lexsort((scene.load_case, scene.stamp))
     kept = np.exp(-np.diff(scene.stamp[order]) / T)
     for last, row, share in zip(order, order[1:], kept, strict=False):
         out[row] += share * (out[last] - tau[row])
-    return np.asarray(out)
+    return np.asarray(out - scene.tau_gravity)
 
 
 def _linear(theta: Array) -> Array:

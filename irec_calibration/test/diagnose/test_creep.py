@@ -5,12 +5,16 @@ pose, and a force sensor whose reading creeps, which no gear does."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import Ladder, diagnose, improve
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
+from irec_calibration.model import Estimate, Model, Term
 from irec_calibration.typing import Array
 from test_diagnose import session, turned
 
@@ -67,6 +71,17 @@ def test_gears_that_creep_under_the_weight_from_pose_to_pose_creep_and_have_no_f
     creep = next(t for t in ladder.rungs[-1].model.terms if t.effect.id == "creep")
     assert ladder.before.verdict.effects == ("creep",), ladder.before.verdict.text
     assert creep.estimates["apart"].value == 2.0
+
+
+@pytest.mark.parametrize(("between_rows", "moves"), [(4.0, True), (1000.0, False)])
+def test_a_prediction_has_what_gears_still_creep_under_the_weight_between_reference_and_row(between_rows, moves) -> None:
+    made = synthetic.session(6)
+    n = len(made)
+    made = replace(made, force_in_tool=np.zeros((n, 3)), stamp=between_rows * np.arange(n))
+    scene = scene_of(made, observe="tcp")
+    values = {"T": 20.0, "memory": 1.0, "apart": 2.0} | {f"d_{k + 1}": 1e-7 for k in range(6)}
+    model = Model((Term(find_effect("creep"), {name: Estimate(v) for name, v in values.items()}),))
+    assert (np.abs(model.predict(scene)).max() > 1e-6) == moves
 
 
 def read_too_high_the_longer_it_lasts(scene: Scene) -> Array:
