@@ -30,7 +30,7 @@ SAMPLES = 3000  # they tell the error to 5 %
 SEED = 0
 STEP = 0.1  # standard deviations, by which parameters are moved for a derivative
 # of the deflection, RMS: what friction, creep and a soft range of sound gears leave of any model; on outside simulators whose
-# gears have these the median error was 1.7 to 1.9 times the expected one without it, and is 1.3 to 1.5 times with it
+# gears have these the median error was 1.7 to 1.9 times the expected one without it, and is 1.2 to 1.5 times with it
 GEARS = 0.01
 EVENT = 10.0  # times the median over poses of the mean square: what came over one pose only
 FAR_WORSE, WORTH_TELLING = 2.0, 0.3  # times the error at the reflector, and the noise: the TCP is not known then
