@@ -34,6 +34,7 @@ from .analyses import run_command
 from .look import look
 
 ANSWER_WAIT = 10.0  # s of the machine's clock for another node to answer
+START_WAIT = 60.0  # s of the machine's clock for procedure_node to accept a run
 ACTIVATE_WAIT = 60.0  # s of the machine's clock for correction_node to take a model
 CANCEL_WAIT = 60.0  # s of the machine's clock for the robot to leave the contact
 Report = Callable[[str, str, int, int, float], None]
@@ -152,10 +153,7 @@ class RosCell:
         repeats = 1 if self._stage == "quick_check" else 0  # its visits are listed one by one; else as the cell file says
         goal = RunProcedure.Goal(poses_path=str(poses_path), session_path=str(session_path), resume=resume, repeats=repeats)
         sent = self._procedure.send_goal_async(goal, feedback_callback=lambda m: news.append(m.feedback))
-        handle = waited(sent, ANSWER_WAIT)
-        if handle is None or not handle.accepted:
-            by = f" (it records to {self._recording})" if self._recording else ""
-            raise IrecError(f"procedure_node refused to start: another run is under way{by}; end that one first")
+        handle = self._accepted(sent)
         result = GoalResult(handle)
         pose = 0
         while (answer := result.poll()) is None:
@@ -181,6 +179,20 @@ class RosCell:
         if is_unknown(answer):
             return "procedure_node was started anew in the middle of the run"
         return "" if answer.result.success else str(answer.result.message)
+
+    def _accepted(self, sent: Any) -> Any:
+        """Handle of the goal. A node that has more readings to work off than it can answers late; a run that it begins after that
+        is ended by `_on_status`."""
+        handle = waited(sent, START_WAIT)
+        if handle is None:
+            raise IrecError(f"procedure_node gave no answer within {START_WAIT:.0f} s; end it and start it again")
+        if not handle.accepted:
+            if self._recording:
+                other = f"another run is under way (it records to {self._recording}); end that one first"
+            else:
+                other = "it is not active, or another run is under way; its log says which"
+            raise IrecError(f"procedure_node refused to start: {other}")
+        return handle
 
     def _end(self, handle: Any, result: GoalResult) -> None:
         """Cancel, and wait until the robot has left the contact."""

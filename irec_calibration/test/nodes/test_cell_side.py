@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A correction node that is busy, or was started just now, is asked for its answer again."""
+"""A correction node that is busy, or was started just now, is asked for its answer again; why a run did not begin is told."""
 
 from __future__ import annotations
 
+import re
+import threading
 from concurrent.futures import Future
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +17,7 @@ pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`
 
 import rclpy
 from irec_calibration.cell import read_cell
+from irec_calibration.errors import IrecError
 from irec_calibration.nodes import cell_side
 from irec_calibration.poses.store import read_poses
 from irec_ros.guard import GuardedNode
@@ -99,3 +102,28 @@ def test_a_node_that_never_answers_is_told_with_what_to_do(side: cell_side.RosCe
     side._activate = Correction(0)
     assert "no answer within 1 s; end it and start it again" in side.activate(tmp_path / "model.yaml")
     assert side._activate.asked == 3
+
+
+@pytest.mark.parametrize(
+    ("accepted", "recording", "why"),
+    [
+        (None, "", "gave no answer within 1 s; end it and start it again"),
+        (False, "/data/s.mcap", "another run is under way (it records to /data/s.mcap); end that one first"),
+        (False, "", "it is not active, or another run is under way"),
+    ],
+)
+def test_why_procedure_node_begins_no_run_is_told(side, monkeypatch, accepted, recording, why) -> None:
+    monkeypatch.setattr(cell_side, "START_WAIT", 1.0)
+    sent: Future[Any] = Future()
+    if accepted is not None:
+        sent.set_result(SimpleNamespace(accepted=accepted))
+    side._recording = recording
+    with pytest.raises(IrecError, match=re.escape(why)):
+        side._accepted(sent)
+
+
+def test_an_answer_of_procedure_node_that_comes_late_is_waited_for(side, monkeypatch) -> None:
+    monkeypatch.setattr(cell_side, "START_WAIT", 20.0)
+    sent: Future[Any] = Future()
+    threading.Timer(0.6, lambda: sent.set_result(SimpleNamespace(accepted=True))).start()
+    assert side._accepted(sent).accepted
