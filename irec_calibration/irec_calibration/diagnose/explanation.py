@@ -10,6 +10,7 @@ from math import isfinite, log, sqrt
 import numpy as np
 
 from ..effects import Axes, Evidence, parameters_of
+from ..effects.scales import SURELY
 from ..effects.scene import Scene
 from ..model import Term, displacements, prepared
 from ..model.springs import ROWS_KEPT
@@ -24,8 +25,6 @@ from .remainder import Part, Remainder, grow
 from .settings import SETTINGS
 from .shape import refit, reshaped
 from .study import Study, study_of
-
-SURELY = 2.0  # standard errors by which a value lies beyond what is physically likely, for certain
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from ..robot.ratings import rated_torque, rating_known
 from ..typing import Array, BoolArray, IntArray
 from .scene import Scene
 
+SURELY = 2.0  # standard errors by which a value is what it is said to be, for certain
 TWIST_AT_RATED_TORQUE = 1e-3  # rad; heavy and light robots alike twist 0.2 .. 2 mrad per joint at their drives' limit
 STIFFER_THAN = 100.0  # times the typical compliance: more is no gear
 TWIST_UNDER_OWN_WEIGHT = 0.02  # rad; light arms on soft drives or soft servos sag that much, none more

@@ -10,12 +10,12 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import LiveForm, SensorMap
+from .scales import SURELY
 from .scene import Scene
 from .traits import Family
 
 NAMES = ("e_xx", "e_yy", "e_xy", "e_xz", "e_yx", "e_yz", "e_zx", "e_zy")
 LIMIT = 0.5
-SURELY = 2.0  # standard errors
 LEAST_BESIDE_TURNING = 0.1  # of the turning part, that E has besides: axes that read each other by chance don't turn the force
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..typing import Array
 from .base import Effect, Parameter
+from .scales import SURELY
 from .scene import Scene
 from .state import ElasticResponse
 from .traits import Cause, Family
@@ -16,7 +17,6 @@ from .traits import Cause, Family
 AXES = ("x", "y", "z")
 # RMS over x, y, z; a first axis or a base frame that is off as every robot's does the same to all that a station sees
 USUAL_RAD = 0.6e-3
-SURELY = 2.0  # standard errors
 
 
 class StationRegistration(Effect):

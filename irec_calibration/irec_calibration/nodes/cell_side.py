@@ -183,7 +183,9 @@ class RosCell:
     def _accepted(self, sent: Any) -> Any:
         """Handle of the goal. A node that has more readings to work off than it can answers late; a run that it begins after that
         is ended by `_on_status`."""
-        handle = waited(sent, START_WAIT)
+        begun = time.monotonic()
+        while (handle := waited(sent, 1.0)) is None and time.monotonic() - begun < START_WAIT:
+            self._stop_if_cancelled()
         if handle is None:
             raise IrecError(f"procedure_node gave no answer within {START_WAIT:.0f} s; end it and start it again")
         if not handle.accepted:

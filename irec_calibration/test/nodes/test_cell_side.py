@@ -117,13 +117,20 @@ def test_why_procedure_node_begins_no_run_is_told(side, monkeypatch, accepted, r
     sent: Future[Any] = Future()
     if accepted is not None:
         sent.set_result(SimpleNamespace(accepted=accepted))
-    side._recording = recording
+    side._recording, side._cancelled = recording, lambda: ""
     with pytest.raises(IrecError, match=re.escape(why)):
         side._accepted(sent)
 
 
 def test_an_answer_of_procedure_node_that_comes_late_is_waited_for(side, monkeypatch) -> None:
     monkeypatch.setattr(cell_side, "START_WAIT", 20.0)
+    side._cancelled = lambda: ""
     sent: Future[Any] = Future()
-    threading.Timer(0.6, lambda: sent.set_result(SimpleNamespace(accepted=True))).start()
+    threading.Timer(1.3, lambda: sent.set_result(SimpleNamespace(accepted=True))).start()
     assert side._accepted(sent).accepted
+
+
+def test_who_waits_for_procedure_node_can_be_cancelled(side) -> None:
+    side._cancelled = lambda: "the operator asked for it"
+    with pytest.raises(cell_side.Cancelled, match="the operator asked for it before anything was measured"):
+        side._accepted(Future())
