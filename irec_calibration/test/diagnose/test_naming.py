@@ -170,3 +170,44 @@ def test_a_step_in_time_has_some_of_its_evidence_from_the_form_of_a_drift_beside
     one: Any = SimpleNamespace(study=SimpleNamespace(ready=None), term=terms.__getitem__)
     bare: Any = SimpleNamespace(named=200.0, added=(terms["thermal_drift"],))
     assert naming.lent_by_drifts(bare, one, bare, effect_id, cast(Any, None), SETTINGS) == pytest.approx(lent)
+
+
+def beside_a_curve(
+    monkeypatch: pytest.MonkeyPatch, forms: Forms, curve: float, own: float, trace: float, others: tuple[float, float]
+) -> bool:
+    """Whether an effect is named that stands for a curve of an axis, of which a trace is left beside it, with other structures in
+    its place and beside it; all in nats."""
+
+    def of_the_curve(evidence: float) -> SimpleNamespace:
+        by_step = bool(forms.steps)
+        s = SimpleNamespace(
+            law_of=None, softer_by_angle=None, by_step=by_step, axis=0, ripple=None, variables=("joint_1",), is_drift=False,
+            is_tilt=False,
+        )  # fmt: skip
+        return SimpleNamespace(log_evidence=evidence, structure=s)
+
+    def remainder_of(study: Any, family: object, parts: object, exact: Forms = NO_FORMS) -> SimpleNamespace:
+        left = study is not None
+        return SimpleNamespace(gained=others[left] + (0.0 if exact.steps or exact.angles else (trace if left else curve)))
+
+    kept = (of_the_curve(trace),) if trace else ()
+    rest = SimpleNamespace(gained=others[1] + trace, parts=kept, structures=kept, bad_rows=())
+    term = SimpleNamespace(effect=SimpleNamespace(family=None, in_readings=False))
+    one: Any = SimpleNamespace(
+        named=own, study=SimpleNamespace(ready=None), term=lambda _: term, remainder=rest, ids=("joint_hysteresis",)
+    )
+    before = SimpleNamespace(gained=others[0] + curve, structures=(of_the_curve(curve),))
+    bare: Any = SimpleNamespace(named=0.0, study=None, remainder=before)
+    odds = odds_beside(monkeypatch, one, bare, forms, remainder_of, "joint_hysteresis")
+    return odds > naming.needed(one, "joint_hysteresis", SETTINGS)
+
+
+@pytest.mark.parametrize(("trace", "named"), [(0.0, True), (4.0, True), (8.0, False)])
+def test_friction_stands_for_a_curve_of_the_step_of_which_nothing_that_counts_is_left(monkeypatch, trace, named) -> None:
+    assert beside_a_curve(monkeypatch, Forms(steps=frozenset({0})), 950.0, 960.0, trace, (0.0, 0.0)) == named
+
+
+@pytest.mark.parametrize(("own", "left", "named"), [(70.0, 44.0, True), (42.0, 72.0, False)])
+def test_harmonics_explain_as_much_as_the_curve_of_the_angle_that_they_stand_for(monkeypatch, own, left, named) -> None:
+    """Together with what is left beside them both explain the same."""
+    assert beside_a_curve(monkeypatch, Forms(angles=frozenset({0})), 66.0, own, 0.0, (42.0, left)) == named
