@@ -3,8 +3,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
-from irec_calibration.diagnose import Ladder, improve
+from irec_calibration.diagnose import Ladder, improve, start_terms
+from irec_calibration.diagnose.assessment import assess
+from irec_calibration.diagnose.build import build
+from irec_calibration.diagnose.study import prepare
 from test_diagnose import session
 from test_diagnose_axes import axis_4_softer_in_four_steps
 
@@ -41,3 +46,13 @@ def test_neither_terminal_nor_report_says_which_of_several_it_is(ladder, tmp_pat
     assert "+ joint_backlash or joint_stiffening" in said and "do not tell which" in said and "(no name)" not in said
     page = write_ladder_report(ladder, session(axis_4_softer_in_four_steps), tmp_path)[0].read_text(encoding="utf-8")
     assert "do not tell which it is, joint backlash or joint stiffening" in page
+
+
+def test_a_name_with_a_rival_that_lacks_little_is_one_of_the_two_and_no_name() -> None:
+    measured = session(axis_4_softer_in_four_steps)
+    study = prepare(measured, start_terms(measured)).to_weigh
+    built = build(study)
+    alone = assess(study, replace(built, rivals={}), None)
+    beside = assess(study, replace(built, rivals={"joint_backlash": (("creep", 6.0),)}), None)
+    assert alone.names == ("joint_backlash",) and alone.one_of == ()
+    assert beside.names == () and beside.one_of == (("joint_backlash", "creep"),)
