@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
     [
         ("workbench.py", ["--poses", "8", "--large", "0"], "slowest answer of a linear effect"),
         ("rows.py", ["155", "--fit"], "answer\n    186 "),
-        ("poses_codec.py", [], "CODEC of 62 poses"),
+        pytest.param("poses_codec.py", [], "CODEC of 62 poses", marks=pytest.mark.long),
     ],
 )
 def test_a_bench_prints_its_figures(name, arguments, figure):

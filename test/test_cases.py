@@ -163,6 +163,7 @@ def test_the_tracker_keeps_what_its_data_sheet_permits_at_most(name: str) -> Non
     assert 3.0 * np.hypot(tracker.noise, tracker.slow) <= 15e-6 + 4.0 * 6e-6
 
 
+@pytest.mark.long
 def test_secondary_encoders_leave_the_structure_to_the_model_and_less_error(afp: Calibrated) -> None:
     """The joint angles behind the gears hold friction, play and creep already."""
     cell = read_cell(afp.case.cell_path)
@@ -213,6 +214,7 @@ def test_a_model_of_the_arm_in_motion_foretells_other_courses_better_than_one_of
     assert left[1] < 0.85 * left[0]
 
 
+@pytest.mark.long
 def test_each_step_of_the_ladder_takes_the_mean_down_on_courses_that_it_was_not_learnt_from(afp: Calibrated) -> None:
     rows, lead = (6, 8, 9, 10, 11, 12), 0.033
     ways = make_ways(afp.sim, afp.hard.process).only(np.array(rows))

@@ -75,7 +75,7 @@ def softer(axis: int, factor: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stated", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("stated", [0.5, *(pytest.param(s, marks=pytest.mark.long) for s in (1.0, 2.0))])
 def test_an_unchanged_robot_raises_no_alarm_whatever_the_stated_noise(stated: float) -> None:
     ref, q = reference(stated)
     found = [visited(ref, q, 1000 + i, stated).decision for i in range(6)]
