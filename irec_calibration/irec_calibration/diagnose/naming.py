@@ -145,7 +145,7 @@ def odds_of(
         odds -= settings.share_of_form * max(in_place - left, 0.0)
     if in_one_pose(one, effect_id):
         return odds
-    odds -= lent_by_drifts(start, one, bare, effect_id, family, settings)
+    odds -= lent_by_others(start, one, bare, effect_id, family, settings)
     odds = max(odds, with_others_by_step(start, one, bare, effect_id, family))
     return max(odds, min(odds + needed(one, effect_id, settings) - settings.nats_over_structure, own))
 
@@ -155,15 +155,22 @@ def _of_form(one: Explanation, forms: Forms) -> float:
     return sum(p.log_evidence for p in one.remainder.structures if forms.has(p.structure))
 
 
-def lent_by_drifts(
+def lent_by_others(
     start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings
 ) -> float:
-    """Evidence that a step in time may have from drifts beside it, nats: these have their form only nearly, and it mends it."""
+    """Evidence that a name may have from causes beside it, nats: these have their form only nearly, and it mends it.
+
+    A step in time mends a drift; curves by which axes turn with their own angle mend the pull of a hose.
+    """
     scene = one.study.ready
-    if one.term(effect_id).effect.family is not Alike.TIME or forms_of(one.term(effect_id), scene).drifts:
+    mine = forms_of(one.term(effect_id), scene)
+    if mine.angles:
+        lenders = [t.effect.id for t in bare.added if t.effect.loads_arm]
+    elif one.term(effect_id).effect.family is Alike.TIME and not mine.drifts:
+        lenders = [t.effect.id for t in bare.added if forms_of(t, scene).drifts]
+    else:
         return 0.0
-    drifts = [t.effect.id for t in bare.added if forms_of(t, scene).drifts]
-    return settings.share_feigned * sum(max(bare.named - without(start, bare, i, family).named, 0.0) for i in drifts)
+    return settings.share_feigned * sum(max(bare.named - without(start, bare, i, family).named, 0.0) for i in lenders)
 
 
 def with_others_by_step(start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family) -> float:

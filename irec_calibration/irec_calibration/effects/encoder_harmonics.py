@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
+from .scales import SURELY
 from .scene import Scene
 from .traits import Cause, Family
 
 LARGEST = 1.5e-3  # rad; ten times the transmission error of sound gears (0.5 arcmin), beyond any eccentric disc that still counts
+CANCEL = 8.0  # times what the curve of an axis deviates from its mean; harmonics so much larger take each other away
 
 
 class EncoderHarmonics(Effect):
@@ -42,10 +46,29 @@ class EncoderHarmonics(Effect):
         return -4.0 if scene.kind == "loaded" else 0.0
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        waves = np.stack([f(m * scene.q) for m in (1, 2) for f in (np.sin, np.cos)], axis=2)
-        columns = scene.J[:, :, :, None] * waves[:, None]
+        columns = scene.J[:, :, :, None] * self._waves(scene)[:, None]
         n = len(scene)
         return columns[:, :, self._turning(scene)].reshape(n, 3, -1)
+
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
+        """Harmonics of the axis with the largest curve that cancel but for a small difference: over the travel of that axis they
+        describe some smooth curve, and no encoder."""
+        none = np.array([0.0, 0.0])
+        found = np.array([values.get(p.name, none) for p in self.parameters(scene)]).reshape(-1, 4, 2)  # axis, wave, (value, se)
+        if not len(found):
+            return ""
+        curves = np.einsum("nkw,kw->nk", self._waves(scene)[:, self._turning(scene)], found[:, :, 0])
+        k = int(np.argmax(curves.std(axis=0)))
+        size, error = np.linalg.norm(found[k], axis=0)
+        curve = float(curves[:, k].std())
+        if size - SURELY * np.nan_to_num(error) <= CANCEL * curve:
+            return ""
+        axis = int(np.flatnonzero(self._turning(scene))[k]) + 1
+        return f"its harmonics of axis {axis}, {size:.2g} rad, cancel but for {curve:.2g} rad: some smooth curve of the angle"
+
+    def _waves(self, scene: Scene) -> Array:
+        """sin q, cos q, sin 2q, cos 2q of each joint, (n, joints, 4)."""
+        return np.stack([f(m * scene.q) for m in (1, 2) for f in (np.sin, np.cos)], axis=2)
 
     def _turning(self, scene: Scene) -> BoolArray:
         turning: BoolArray = scene.driven & ~scene.kin.is_prismatic

@@ -78,6 +78,7 @@ def odds_beside(
     monkeypatch.setattr(naming, "of_axes", lambda *_: False)
     monkeypatch.setattr(naming, "with_others_by_step", lambda *_: -float("inf"))
     monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
+    monkeypatch.setattr(naming, "lent_by_others", lambda *_: 0.0)
     family: Any = None
     return naming.odds_of(bare, one, bare, effect_id, family, SETTINGS)
 
@@ -160,16 +161,28 @@ def test_a_bearing_gives_way_instead_of_a_gear_where_it_explains_more_and_instea
     assert (odds > naming.needed(one, "joint_stiffening", SETTINGS)) == named
 
 
-@pytest.mark.parametrize(("effect_id", "lent"), [("station_shift", 9.0), ("joint_backlash", 0.0), ("thermal_drift", 0.0)])
-def test_a_step_in_time_has_some_of_its_evidence_from_the_form_of_a_drift_beside_it(
-    monkeypatch: pytest.MonkeyPatch, effect_id: str, lent: float
-) -> None:
-    monkeypatch.setattr(naming, "forms_of", lambda term, _: Forms(drifts=term.effect.id == "thermal_drift"))
+def lent(monkeypatch: pytest.MonkeyPatch, effect_id: str, beside: str) -> float:
+    """Evidence that an effect has from another, which explains 180 nats."""
+    forms = {"thermal_drift": Forms(drifts=True), "encoder_harmonics": Forms(angles=frozenset({0}))}
+    monkeypatch.setattr(naming, "forms_of", lambda term, _: forms.get(term.effect.id, Forms()))
     monkeypatch.setattr(naming, "without", lambda *_: SimpleNamespace(named=20.0))
-    terms = {i: SimpleNamespace(effect=find_effect(i)) for i in ("thermal_drift", "station_shift", "joint_backlash")}
-    one: Any = SimpleNamespace(study=SimpleNamespace(ready=None), term=terms.__getitem__)
-    bare: Any = SimpleNamespace(named=200.0, added=(terms["thermal_drift"],))
-    assert naming.lent_by_drifts(bare, one, bare, effect_id, cast(Any, None), SETTINGS) == pytest.approx(lent)
+    one: Any = SimpleNamespace(study=SimpleNamespace(ready=None), term=lambda i: SimpleNamespace(effect=find_effect(i)))
+    bare: Any = SimpleNamespace(named=200.0, added=(SimpleNamespace(effect=find_effect(beside)),))
+    return naming.lent_by_others(bare, one, bare, effect_id, cast(Any, None), SETTINGS)
+
+
+@pytest.mark.parametrize(("effect_id", "expected"), [("station_shift", 9.0), ("joint_backlash", 0.0), ("thermal_drift", 0.0)])
+def test_a_step_in_time_has_some_of_its_evidence_from_the_form_of_a_drift_beside_it(
+    monkeypatch: pytest.MonkeyPatch, effect_id: str, expected: float
+) -> None:
+    assert lent(monkeypatch, effect_id, "thermal_drift") == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("beside", "expected"), [("external_force", 9.0), ("joint_torsion", 0.0)])
+def test_harmonics_of_an_encoder_have_some_of_their_evidence_from_the_form_of_a_hose_beside_them(
+    monkeypatch: pytest.MonkeyPatch, beside: str, expected: float
+) -> None:
+    assert lent(monkeypatch, "encoder_harmonics", beside) == pytest.approx(expected)
 
 
 def beside_a_curve(

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Harmonics of an encoder that take each other away but for a small difference are some smooth curve of the angle."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from irec_calibration.effects.encoder_harmonics import EncoderHarmonics
+
+EFFECT = EncoderHarmonics()
+
+
+def arm(travel: float) -> Any:
+    """A scene of two axes, each of which is used over a travel in degrees."""
+    q = np.radians(travel) * np.linspace(-0.5, 0.5, 40)[:, None] * np.ones(2)
+    kin = SimpleNamespace(is_prismatic=np.zeros(2, bool))
+    return SimpleNamespace(kind="absolute", q=q, driven=np.array([True, True]), kin=kin)
+
+
+def why(travel: float, *, a1: float = 0.0, b1: float = 0.0, b2: float = 0.0, se: float = 1e-5, axis: int = 1) -> str:
+    return EFFECT.why_impossible({f"{n}_{axis}": (v, se) for n, v in (("a1", a1), ("b1", b1), ("b2", b2))}, {}, arm(travel))
+
+
+def test_a_curve_that_millirads_leave_of_each_other_is_no_encoder() -> None:
+    said = why(60.0, b1=2e-3, b2=-0.45e-3, axis=2)
+    assert "axis 2" in said and "0.0021 rad" in said and "smooth curve" in said
+
+
+@pytest.mark.parametrize("travel", [60.0, 120.0, 320.0])
+def test_an_eccentric_encoder_is_one_over_any_travel(travel: float) -> None:
+    assert not why(travel, a1=1e-4, b1=1e-4)
+
+
+def test_harmonics_that_may_as_well_be_small_are_not_held_against_it() -> None:
+    assert not why(60.0, b1=2e-3, b2=-0.45e-3, se=1e-3)
+
+
+def test_what_small_harmonics_of_another_axis_do_is_not_asked() -> None:
+    values = {"a1_1": (1e-4, 1e-5), "b1_2": (2e-4, 1e-5), "b2_2": (-0.45e-4, 1e-5)}
+    assert not EFFECT.why_impossible(values, {}, arm(60.0))
