@@ -160,13 +160,16 @@ def lent_by_others(
 ) -> float:
     """Evidence that a name may have from causes beside it, nats: these have their form only nearly, and it mends it.
 
-    A step in time mends a drift; curves by which axes turn with their own angle mend the pull of a hose.
+    A step in time mends a drift; curves by which axes turn with their own angle mend the pull of a hose; what creeps and what a
+    hose pulls mend friction in the gears, of which other parts of the load's history are seen.
     """
-    scene = one.study.ready
+    scene, effect = one.study.ready, one.term(effect_id).effect
     mine = forms_of(one.term(effect_id), scene)
     if mine.angles:
         lenders = [t.effect.id for t in bare.added if t.effect.loads_arm]
-    elif one.term(effect_id).effect.family is Alike.TIME and not mine.drifts:
+    elif scene.kind == "loaded" and (effect.loads_arm or {"time", "load"} <= {*effect.needs}):
+        lenders = [t.effect.id for t in bare.added if "order" in t.effect.needs]
+    elif effect.family is Alike.TIME and not mine.drifts:
         lenders = [t.effect.id for t in bare.added if forms_of(t, scene).drifts]
     else:
         return 0.0

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..typing import Array
@@ -32,6 +34,12 @@ class ThermalDrift(Effect):
             out += [Parameter(f"k_{name}_{a}", "m/K", STEEL, plausible=(-most, most), group=f"temp_{name}") for a in AXES]
         return (*out, Parameter("T", "s", 1000.0, 10.0, 1e6, start=STEADY, grid=(300.0, 1000.0, 3000.0, STEADY)))
 
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
+        T = values["T"][0] if any(f"v_{a}" in values for a in AXES) and "T" in values else QUICKEST
+        if T >= QUICKEST:
+            return ""
+        return f"it would be over within minutes (T = {T:.0f} s), and what grows warm takes longer ({QUICKEST:.0f} s at least)"
+
     def displacement(self, scene: Scene, theta: Array) -> Array:
         return self._columns(scene, theta[-1]) @ theta[:-1]
 
@@ -49,6 +57,7 @@ class ThermalDrift(Effect):
 STEEL = 3e-5  # m/K, an arm of steel of 2.5 m
 LARGEST_PER_KELVIN = 1e-3  # m/K
 LARGEST = 2e-3  # m over a session; arms that warm up drift by 0.1 to 0.5 mm
+QUICKEST = 300.0  # s; arms and stands warm up with time constants of half an hour and more
 STEADY = 1e5  # s; a warm-up this slow is a steady drift
 REFERENCE_TEMPERATURE = 20.0  # degC, ISO 1
 
