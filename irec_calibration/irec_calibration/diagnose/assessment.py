@@ -212,8 +212,8 @@ def only_bad_rows(study: Study, family: Family) -> Remainder:
 
 
 def _also_read(term: Term, parts: Parts, study: Study) -> str:
-    """Another name for what is proven of an effect on the force sensor's reading, or an empty string."""
-    if term.effect.family is not Alike.SENSOR or not parts.proven:
+    """Another name for what is proven of an effect on the force sensor's reading, or of joint angles, or an empty string."""
+    if term.effect.family not in (Alike.SENSOR, Alike.ANGLE_ERROR) or not parts.proven:
         return ""
     groups = {p.name: p.group for p in term.effect.parameters(study.ready)}
     proven = {n: e for n, e in term.estimates.items() if groups[n] in parts.proven}

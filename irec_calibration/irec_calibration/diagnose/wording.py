@@ -245,7 +245,11 @@ def _why_either(assessment: Assessment) -> list[str]:
         also = also_called(term, ready)
         if not also or not any({term.effect.id, also} <= set(s) for s in assessment.one_of):
             continue
-        if term.effect.family is not Alike.TORQUE_LAW:
+        if term.effect.turns_by_angle:
+            out.append(
+                "On which side of its play an axis lies that no weight turns goes with its angle, as an encoder's error does."
+            )
+        elif term.effect.family is not Alike.TORQUE_LAW:
             out.append("A station turned about the first axis and an error of that axis' zero do the same to all that is seen.")
         elif rating_known(ready.robot).all():
             out.append("The gear is soft over just the range of torque at which play ends and a soft gear begins.")

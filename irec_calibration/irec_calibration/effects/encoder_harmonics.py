@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..robot.ratings import rated_torque
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .scales import SURELY
@@ -14,6 +15,7 @@ from .scene import Scene
 from .traits import Cause, Family
 
 LARGEST = 1.5e-3  # rad; ten times the transmission error of sound gears (0.5 arcmin), beyond any eccentric disc that still counts
+UPRIGHT = 0.01  # of the rated torque, up to which the weight of the arm says nothing of the side on which play lies
 CANCEL = 8.0  # times what the curve of an axis deviates from its mean; harmonics so much larger take each other away
 
 
@@ -65,6 +67,16 @@ class EncoderHarmonics(Effect):
             return ""
         axis = int(np.flatnonzero(self._turning(scene))[k]) + 1
         return f"its harmonics of axis {axis}, {size:.2g} rad, cancel but for {curve:.2g} rad: some smooth curve of the angle"
+
+    def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
+        """Harmonics of axes that the weight does not turn may be play: which side they lie on, leaning a little, goes with their
+        angle as well."""
+        if scene.kind != "absolute":
+            return ""
+        size, error = (np.linalg.norm(v.reshape(-1, 4), axis=1) for v in (theta, se))
+        axes = np.flatnonzero(self._turning(scene))[size > SURELY * error]
+        loaded = np.abs(scene.tau_gravity).max(axis=0) > UPRIGHT * rated_torque(scene.robot)
+        return "joint_backlash" if len(axes) and not loaded[axes].any() else ""
 
     def _waves(self, scene: Scene) -> Array:
         """sin q, cos q, sin 2q, cos 2q of each joint, (n, joints, 4)."""

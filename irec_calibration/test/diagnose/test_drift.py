@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from irec_calibration.diagnose import diagnose
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.session import Session
 from test_diagnose import session
 
@@ -31,3 +33,17 @@ def test_a_drift_by_more_than_robots_warm_up_is_not_named() -> None:
     verdict = diagnose(drifting(8e-3)).verdict
     assert (verdict.status, verdict.effects) == ("unexplained", ())
     assert verdict.depends_on == ("temp_air",)
+
+
+@pytest.mark.parametrize(
+    ("values", "is_told"),
+    [
+        ({"v_x": 1e-6, "T": 160.0}, True),
+        ({"v_x": 1e-6, "T": 1000.0}, False),
+        ({"v_x": 1e-6, "k_air_x": 1e-5, "T": 160.0}, False),  # what follows a thermometer is as quick as that
+    ],
+)
+def test_a_drift_that_ends_within_minutes_is_no_warm_up(values: dict[str, float], is_told: bool) -> None:
+    scene = scene_of(session())
+    said = find_effect("thermal_drift").why_impossible({n: (v, 0.0) for n, v in values.items()}, {}, scene)
+    assert ("160 s" in said) == is_told

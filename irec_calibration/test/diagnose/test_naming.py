@@ -161,12 +161,13 @@ def test_a_bearing_gives_way_instead_of_a_gear_where_it_explains_more_and_instea
     assert (odds > naming.needed(one, "joint_stiffening", SETTINGS)) == named
 
 
-def lent(monkeypatch: pytest.MonkeyPatch, effect_id: str, beside: str) -> float:
+def lent(monkeypatch: pytest.MonkeyPatch, effect_id: str, beside: str, kind: str = "absolute") -> float:
     """Evidence that an effect has from another, which explains 180 nats."""
     forms = {"thermal_drift": Forms(drifts=True), "encoder_harmonics": Forms(angles=frozenset({0}))}
     monkeypatch.setattr(naming, "forms_of", lambda term, _: forms.get(term.effect.id, Forms()))
     monkeypatch.setattr(naming, "without", lambda *_: SimpleNamespace(named=20.0))
-    one: Any = SimpleNamespace(study=SimpleNamespace(ready=None), term=lambda i: SimpleNamespace(effect=find_effect(i)))
+    scene = SimpleNamespace(kind=kind)
+    one: Any = SimpleNamespace(study=SimpleNamespace(ready=scene), term=lambda i: SimpleNamespace(effect=find_effect(i)))
     bare: Any = SimpleNamespace(named=200.0, added=(SimpleNamespace(effect=find_effect(beside)),))
     return naming.lent_by_others(bare, one, bare, effect_id, cast(Any, None), SETTINGS)
 
@@ -183,6 +184,17 @@ def test_harmonics_of_an_encoder_have_some_of_their_evidence_from_the_form_of_a_
     monkeypatch: pytest.MonkeyPatch, beside: str, expected: float
 ) -> None:
     assert lent(monkeypatch, "encoder_harmonics", beside) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("effect_id", "beside", "expected"),
+    [("creep", "joint_hysteresis", 9.0), ("external_force", "joint_hysteresis", 9.0), ("creep", "joint_backlash", 0.0),
+     ("sensor_gain", "joint_hysteresis", 0.0)],
+)  # fmt: skip
+def test_what_creeps_and_what_a_hose_pulls_have_some_of_their_evidence_from_the_form_of_friction_beside_them(
+    monkeypatch: pytest.MonkeyPatch, effect_id: str, beside: str, expected: float
+) -> None:
+    assert lent(monkeypatch, effect_id, beside, "loaded") == pytest.approx(expected)
 
 
 def beside_a_curve(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Harmonics of an encoder that take each other away but for a small difference are some smooth curve of the angle."""
+"""What harmonics of an encoder can't be, and what else they may be."""
 
 from __future__ import annotations
 
@@ -8,9 +8,32 @@ from typing import Any
 
 import numpy as np
 import pytest
+from irec_calibration.effects import encoder_harmonics
 from irec_calibration.effects.encoder_harmonics import EncoderHarmonics
 
 EFFECT = EncoderHarmonics()
+
+
+def called(monkeypatch: pytest.MonkeyPatch, first: float, second: float, gravity: tuple[float, float]) -> str:
+    """What harmonics of so many rad of two axes may be called too, of which the weight turns each by so many N m at most."""
+    monkeypatch.setattr(encoder_harmonics, "rated_torque", lambda _: np.array([1000.0, 1000.0]))
+    scene = arm(200.0)
+    scene.tau_gravity, scene.robot = np.array([gravity, (0.0, 0.0)]), None
+    theta = np.array([first, 0.0, 0.0, 0.0, second, 0.0, 0.0, 0.0])
+    return EFFECT.also_called(scene, theta, np.full(8, 1e-5))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "gravity", "expected"),
+    [
+        (1e-4, 1e-5, (0.0, 300.0), "joint_backlash"),  # that of the second are within their errors
+        (1e-4, 1e-4, (0.0, 300.0), ""),
+        (1e-4, 0.0, (300.0, 300.0), ""),
+        (1e-5, 1e-5, (0.0, 0.0), ""),
+    ],
+)
+def test_harmonics_of_an_axis_that_no_weight_turns_may_be_play(monkeypatch, first, second, gravity, expected) -> None:
+    assert called(monkeypatch, first, second, gravity) == expected
 
 
 def arm(travel: float) -> Any:
