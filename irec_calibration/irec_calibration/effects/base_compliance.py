@@ -38,10 +38,11 @@ def base_spring_regressor(scene: Scene) -> Array:
     return out
 
 
-def base_spring_displacement(scene: Scene, compliance: Array) -> Array:
-    """Displacement of the observed point by base springs of compliances (n, 6) as in `base_spring_regressor`, (n, 3)."""
-    f, moment = scene.load_wrench_at_base()
-    return f * compliance[:, :3] + np.cross(moment * compliance[:, 3:], scene.p_observed)
+def tilt_across(scene: Scene) -> Array:
+    """Displacement per unit of compliance by which a moment about x tilts the base about y, and one about y about x, (n, 3)."""
+    _, moment = scene.load_wrench_at_base()
+    crossed = np.stack([moment[:, 1], moment[:, 0], np.zeros(len(scene))], axis=1)
+    return np.cross(crossed, scene.p_observed)
 
 
 def _rotation(scene: Scene) -> tuple[float, float]:
@@ -84,10 +85,7 @@ class BaseCompliance(Effect):
         return ONLY_SLIDES if tuple(groups) == ("translation",) else 0.0
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        _, moment = scene.load_wrench_at_base()
-        crossed = np.stack([moment[:, 1], moment[:, 0], np.zeros(len(scene))], axis=1)
-        between = np.cross(crossed, scene.p_observed)
-        return np.concatenate([base_spring_regressor(scene), between[:, :, None]], axis=2)
+        return np.concatenate([base_spring_regressor(scene), tilt_across(scene)[:, :, None]], axis=2)
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         slides = "base: gives way {{:.0f}} um/kN more along {}"

@@ -10,14 +10,16 @@ import numpy as np
 
 from ..typing import Array
 from .base import Effect, Parameter
-from .base_compliance import base_spring_displacement, base_spring_regressor
+from .base_compliance import base_spring_regressor, tilt_across
 from .live import ColumnLaw, LiveForm, Tick
 from .scene import Scene
 from .traits import Family
 
 DOF = ("t_x", "t_y", "t_z", "r_x", "r_y", "r_z")
+SPRINGS = (*DOF, "r_xy")
 PLACES = 9  # along the travel of the session, at which the softest place is looked for
 WIDTHS = (0.1, 0.17, 0.235, 0.28, 0.33, 0.39, 0.46, 0.55, 0.66)  # of the travel; as close as what repeats over it asks for
+TILTS = [DOF.index("r_x"), DOF.index("r_y")]
 SHAPE = 3  # parameters, the last: s_0, w, posts
 SHORTEST = 0.1  # m, of a travel
 CLOSEST_POSTS = 0.4  # m; a rail on posts that stand closer is carried alike everywhere
@@ -28,9 +30,9 @@ class RailCompliance(Effect):
     id = "rail_compliance"
     label = "rail compliance"
     physics = (
-        "The carriage and its rail give way like a base spring, differently along the travel: each of six compliances is a "
-        "constant part and one that is largest at the place s_0, neither negative. That one fades over the distance w, "
-        "c + soft exp(-((s - s_0)/w)^2), or is there between all posts, which stand w apart (0.4 m at least): "
+        "The carriage and its rail give way like a base spring, differently along the travel: each of six compliances, neither "
+        "part negative, and r_xy is a constant part and one that is largest at the place s_0. That one fades over the distance "
+        "w, c + soft exp(-((s - s_0)/w)^2), or is there between all posts, which stand w apart (0.4 m at least): "
         "c + soft cos^2(pi (s - s_0)/w). "
         "Missing, the residual depends on the rail position."
     )
@@ -47,10 +49,10 @@ class RailCompliance(Effect):
         places = tuple(float(s) for s in np.linspace(low, high, PLACES)) if high > low else (low,)
         springs = tuple(
             Parameter(
-                name, "m/N" if d[0] == "t" else "rad/(N m)", 1e-8 if d[0] == "t" else 2e-8, lower=0.0,
-                plausible=(0.0, 1e-6 if d[0] == "t" else 2e-6), group=d,
+                name, "m/N" if d[0] == "t" else "rad/(N m)", 1e-8 if d[0] == "t" else 2e-8, lower=0.0 if d in DOF else -np.inf,
+                plausible=(0.0 if d in DOF else -2e-6, 1e-6 if d[0] == "t" else 2e-6), group=d,
             )
-            for d in DOF
+            for d in SPRINGS
             for name in (d, f"{d}_soft")
         )  # fmt: skip
         widths = tuple(share * travel for share in WIDTHS)
@@ -72,8 +74,7 @@ class RailCompliance(Effect):
         return {**shape, "s_0": shape["s_0"] + spans * shape["w"]}
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        constant, soft = theta[:-SHAPE].reshape(-1, 2).T
-        return base_spring_displacement(scene, constant + softness(_position(scene), *theta[-SHAPE:])[:, None] * soft)
+        return np.asarray(self._columns(scene, *theta[-SHAPE:]) @ theta[:-SHAPE])
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         *values, place, width, posts = theta
@@ -88,8 +89,8 @@ class RailCompliance(Effect):
         return np.concatenate([columns(place, width), by_shape], axis=2)
 
     def _columns(self, scene: Scene, place: float, width: float, posts: float) -> Array:
-        """Displacement per unit of each compliance, (n, 3, 12)."""
-        spring = base_spring_regressor(scene)
+        """Displacement per unit of each compliance, (n, 3, 14)."""
+        spring = np.concatenate([base_spring_regressor(scene), tilt_across(scene)[:, :, None]], axis=2)
         soft = softness(_position(scene), place, width, posts)[:, None, None]
         return np.stack([spring, spring * soft], axis=3).reshape(len(scene), 3, -1)
 
@@ -125,5 +126,7 @@ class _Carriage(ColumnLaw):
     def displacement(self, tick: Tick, tau: Array) -> Array:
         away = (tick.rail_position - self._place) / self._width
         soft = math.cos(math.pi * away) ** 2 if self._posts else math.exp(-(away**2))
-        out: Array = (self._constant + soft * self._soft) * tau
+        *along, across = self._constant + soft * self._soft
+        out: Array = np.array(along) * tau
+        out[TILTS] += across * tau[TILTS[::-1]]
         return out

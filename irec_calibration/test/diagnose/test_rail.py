@@ -46,3 +46,19 @@ def test_a_rail_is_not_softer_between_posts_that_stand_close(apart: float, softe
 
 def test_a_carriage_on_a_rail_may_be_soft_at_a_narrow_place() -> None:
     assert softness(np.array([1.0]), 1.0, 0.1, 0.0) == 1.0
+
+
+def aslant(scene: Scene) -> NDArray[np.float64]:
+    """What a carriage does that tilts about a direction between x and y, by far more at one end of its rail."""
+    moment = np.cross(scene.p_tcp, scene.force)
+    about = np.array([0.8, -0.6, 0.0])
+    soft = 1e-7 * (0.4 + np.exp(-((positions() - 3.0) ** 2)))
+    return np.cross((soft * (moment @ about))[:, None] * about, scene.p_observed)
+
+
+def test_a_carriage_that_tilts_aslant_is_a_rail_and_no_base_beside_it() -> None:
+    session = replace(synthetic.session(POSES, seed=4, extra=aslant), ext={"rail": positions()})
+    ladder = improve(session)
+    assert ladder.before.verdict.effects == ("rail_compliance",)
+    found = {n: e.value for t in ladder.rungs[-1].model.terms if t.effect.id == "rail_compliance" for n, e in t.estimates.items()}
+    assert found["r_xy"] + found["r_xy_soft"] < -3e-8
