@@ -43,7 +43,7 @@ def accidents(study: Study, remainder: Remainder, settings: Settings) -> tuple[P
         moved = x[own] * TYPICAL_DISPLACEMENT
         others = np.linalg.norm(left[~here], axis=1).max(initial=0.0)
         stands_out = np.linalg.norm(moved) > settings.accident_size * others
-        if stands_out and _lasts_from(study, study.observation.rows[here], moved) <= settings.nats_to_prefer:
+        if stands_out and lasts_from(study, study.observation.rows[here], moved) <= settings.nats_to_prefer:
             out.append(part)
     return tuple(out)
 
@@ -61,12 +61,12 @@ def steps_left_out(study: Study, settings: Settings = SETTINGS) -> tuple[int, ..
         others = np.setdiff1d(_pose_of(session, rows[0]), rows)
         if len(others):
             moved = np.median(seen[rows], axis=0) - np.median(seen[others], axis=0)
-            if np.isfinite(moved).all() and _lasts_from(study, rows, moved) > settings.nats_to_name:
+            if np.isfinite(moved).all() and lasts_from(study, rows, moved) > settings.nats_to_name:
                 out += b.rows
     return tuple(out)
 
 
-def _lasts_from(study: Study, rows: IntArray, moved: Array) -> float:
+def lasts_from(study: Study, rows: IntArray, moved: Array) -> float:
     """Log odds that a step that begins at some session rows of one pose lasts, natural; -inf where it can be none.
 
     Args:

@@ -14,6 +14,7 @@ from ..identification.observe import Observation
 from .build import Built, Look, build
 from .explanation import Explanation, in_one_pose
 from .family import Family, family_of
+from .knocked import without_knocked
 from .level import at_level_beside, log_evidence_beside, noise_left
 from .remainder import grow
 from .sag import with_sag_as_seen
@@ -45,6 +46,7 @@ def without_later_accidents(one: Explanation) -> Observation | None:
 
 SEEN: dict[str, Look] = {
     "without what is plainly wrong beside them": lambda one, _: without_later_accidents(one),
+    "without a pose in which something was knocked": lambda one, _: without_knocked(one),
     "with what the arm sags on its way as it shows": lambda one, _: with_sag_as_seen(one.study, one.remainder),
     "at the noise that is left": lambda one, family: noise_left(one.study, one.remainder, family),
 }
