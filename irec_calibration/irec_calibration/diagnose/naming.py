@@ -164,16 +164,16 @@ def lent_by_others(
     hose pulls mend friction in the gears, of which other parts of the load's history are seen.
     """
     scene, effect = one.study.ready, one.term(effect_id).effect
-    mine = forms_of(one.term(effect_id), scene)
+    mine, share = forms_of(one.term(effect_id), scene), settings.share_feigned
     if mine.angles:
         lenders = [t.effect.id for t in bare.added if t.effect.loads_arm]
     elif scene.kind == "loaded" and (effect.loads_arm or {"time", "load"} <= {*effect.needs}):
-        lenders = [t.effect.id for t in bare.added if "order" in t.effect.needs]
+        lenders, share = [t.effect.id for t in bare.added if "order" in t.effect.needs], settings.share_of_second_law
     elif effect.family is Alike.TIME and not mine.drifts:
         lenders = [t.effect.id for t in bare.added if forms_of(t, scene).drifts]
     else:
         return 0.0
-    return settings.share_feigned * sum(max(bare.named - without(start, bare, i, family).named, 0.0) for i in lenders)
+    return share * sum(max(bare.named - without(start, bare, i, family).named, 0.0) for i in lenders)
 
 
 def with_others_by_step(start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family) -> float:

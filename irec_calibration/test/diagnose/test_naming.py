@@ -188,7 +188,7 @@ def test_harmonics_of_an_encoder_have_some_of_their_evidence_from_the_form_of_a_
 
 @pytest.mark.parametrize(
     ("effect_id", "beside", "expected"),
-    [("creep", "joint_hysteresis", 9.0), ("external_force", "joint_hysteresis", 9.0), ("creep", "joint_backlash", 0.0),
+    [("creep", "joint_hysteresis", 18.0), ("external_force", "joint_hysteresis", 18.0), ("creep", "joint_backlash", 0.0),
      ("sensor_gain", "joint_hysteresis", 0.0)],
 )  # fmt: skip
 def test_what_creeps_and_what_a_hose_pulls_have_some_of_their_evidence_from_the_form_of_friction_beside_them(
