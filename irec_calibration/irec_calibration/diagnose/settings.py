@@ -174,8 +174,8 @@ class Settings(Thresholds):
     )  # fmt: skip
     share_of_second_law: float = threshold(
         0.1, "share of evidence",
-        "of play or stiffening of an axis without the other, that the other of the same axis must bring to be named beside it; and"
-        " of friction in gears, that creep and a hose beside it must bring more",
+        "of play or stiffening of an axis without the other, that the other of the same axis must bring to be named beside it;"
+        " and of friction in gears, that creep and a hose beside it must bring more",
         "a form that is a third off: gears follow neither exactly, and the second may only mend the first",
     )  # fmt: skip
     form_error: float = threshold(
