@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from ..cell import Cell
@@ -16,18 +15,21 @@ from ..procedure.axes import Axes
 from ..typing import Array
 from .observed import Answer, Item, Observation, Stream, at
 from .passive import positions
+from .weighing import MASS, weight_items
 
 LEVEL = "moves"
 ON_THE_WAY = 2e-3  # m between forward kinematics and tcp_pose while moving: 10 ms at 0.2 m/s
 ARRIVAL = 5e-4  # m between where a move was to end and where it ended
 RIGID = 1e-3  # m, RMS of the marker about a rigid fit to tcp_pose
 STATION = np.radians(1.0)  # rad between the station of that fit and of the cell file
-WEIGHT_REST = 15.0  # N of wrench_raw that weight and bias leave
 WEIGHTLESS = 30.0  # N of wrench in any orientation
-LEAST_MASS = 0.5  # kg; a lighter tool has no sign
 OFF_PATH = 2e-3  # m off the line after a cancel
 SKEW = 0.02  # s between tracker and tcp_pose
 STOPPED = 2.0  # s for a cancelled move to stand
+REACTION = 0.5  # s of the speed asked for, that a cancelled move may still go; half of the line is more
+LEFT_OVER = 5e-3  # m before its end that it has to have stopped
+FURTHER, BEFORE_END = "a cancelled move goes no further", "a cancelled move stops before its end"
+BEFORE_PRESSING = (FURTHER, BEFORE_END, MASS)  # with less than this, what presses is dangerous
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class Moves:
         standing: observations at standing poses of different orientation, at least three. way: one straight move at speed.
         line: begin and end of it, (2, 3), m in base_link. arrived: (asked, reached) positions of moves that succeeded, m.
         answers: of those moves. cancelled: answer to a cancelled one, and where it stood then, (3,), m.
+        at_cancel: where it was when that was asked for, (3,), m. speed: that was asked for, m/s.
         refused: what should be refused -> answer; moved: way of the TCP meanwhile, m.
     """
 
@@ -48,6 +51,8 @@ class Moves:
     answers: list[Answer]
     cancelled: Answer
     p_cancelled: Array
+    at_cancel: Array
+    speed: float
     refused: dict[str, Answer]
     moved: float
 
@@ -96,6 +101,7 @@ def _answers(m: Moves) -> Iterator[Item]:
         f"{1e3 * OFF_PATH:g} mm",
         "stop on the path",
     )
+    yield from _stopped(m, off @ along, float(np.linalg.norm(b - a)))
     for what, answer in m.refused.items():
         yield _item(
             f"refused: {what}",
@@ -110,6 +116,25 @@ def _answers(m: Moves) -> Iterator[Item]:
         f"{1e3 * m.moved:.3f} mm",
         f"{1e3 * ARRIVAL:g} mm",
         "never drive part of the way",
+    )
+
+
+def _stopped(m: Moves, at: float, length: float) -> Iterator[Item]:
+    """What it claims about a cancel is not enough. at: how far along the line, of this length, the robot stands, m."""
+    further, limit = float(np.linalg.norm(m.p_cancelled - m.at_cancel)), REACTION * m.speed
+    yield _item(
+        FURTHER,
+        further <= limit,
+        f"{1e3 * further:.1f} mm after the cancel at {1e3 * m.speed:g} mm/s",
+        f"{1e3 * limit:.1f} mm, {REACTION:g} s of the speed",
+        "stop at once: a touch of the tooling is answered by a cancel, and each millimetre then is hundreds of newtons and more",
+    )
+    yield _item(
+        BEFORE_END,
+        length - at >= LEFT_OVER,
+        f"{1e3 * (length - at):.1f} mm before the end of a line of {1e3 * length:.0f} mm that was cancelled on its way",
+        f"at least {1e3 * LEFT_OVER:g} mm",
+        "is the cancel carried out, or ignored and the move driven to its end? is it driven faster than asked?",
     )
 
 
@@ -229,32 +254,5 @@ def _weight(m: Moves, cell: Cell) -> Iterator[Item]:
         f"{WEIGHTLESS:g} N",
         "remove the tool's weight from wrench",
     )
-    S = _sensor_in_tool(cell)
-    down = np.array([S.T @ r.T @ [0.0, 0.0, -9.81] for r in R])  # free fall in the sensor's frame: raw = mass * down + bias
-    A = np.vstack([np.hstack([d[:, None], np.eye(3)]) for d in down])
-    x, *_ = np.linalg.lstsq(A, np.concatenate(raw), rcond=None)
-    rest = float(np.abs(np.concatenate(raw) - A @ x).max())
-    yield _item(
-        "weight on wrench_raw turns with the wrist",
-        rest <= WEIGHT_REST,
-        f"{rest:.1f} N besides a weight of {x[0]:.1f} kg and a bias",
-        f"{WEIGHT_REST:g} N",
-        "is wrench_raw in the frame that the cell file names (force_sensor.frame), which the description places as on the robot?",
-    )
-    yield _item(
-        "sign of wrench_raw",
-        x[0] > -LEAST_MASS,
-        f"a tool of {x[0]:.1f} kg",
-        "not negative",
-        "the sign is turned: what the environment exerts on the robot; a tool that hangs pulls down",
-    )
-
-
-def _sensor_in_tool(cell: Cell) -> Array:
-    """Rotation of the sensor's frame into tool0, (3, 3), from the robot description."""
-    model = pin.buildModelFromXML(cell.robot.completed_urdf)
-    name = cell.raw["force_sensor"]["frame"]
-    if not model.existFrame(name):
-        return np.eye(3)
-    sensor, tool = (model.frames[model.getFrameId(frame)] for frame in (name, "tool0"))
-    return np.array(tool.placement.actInv(sensor.placement).rotation)
+    for item in weight_items(np.array(R), np.array(raw), cell):
+        yield _item(*item)

@@ -23,6 +23,7 @@ from irec_ros.startup import begin, refuse_unknown_parameters
 from rclpy.exceptions import ParameterException
 
 from ..cell import read_cell
+from ..driver_check.moving import BEFORE_PRESSING
 from ..driver_check.observed import Item, report
 from ..errors import CellError, IrecError
 from ..poses.store import read_poses
@@ -66,6 +67,9 @@ def run(node: GuardedNode) -> list[Item]:
         pose = read_poses(cell.poses_path, cell.serial, cell.robot.sha256).poses[0]
     rail = pose.ext.get("rail", 0.0) if pose is not None else 0.0
     for level in levels[1:]:
+        if level == "pressing" and (why := [item.name for item in items if item.name in BEFORE_PRESSING and not item.passed]):
+            print(f"nothing is pressed while this fails: {', '.join(why)}", flush=True)
+            break
         if pose is not None:
             distance = cell.reference_distance if level == "pressing" else FREE
             there = driver_levels.above_surface(client, cell, axes, settings, pose.q, rail, distance)

@@ -84,6 +84,7 @@ class DriverClient:
         self._follower = node.create_publisher(Header, "sim/follower", 10) if self.simulated else None
         self.pressing: Array | None = None  # set point that is renewed while waiting, N
         self.correcting: Array | None = None  # offset that is sent with each wrench, m
+        self.cancelled_at: Array | None = None  # TCP when the last cancel was sent, (3,), m in base_link
         self._followed = self._renewed = 0.0
 
     @property
@@ -185,16 +186,18 @@ class DriverClient:
         goal = Move.Goal(kind=Move.Goal.JOINT, joint_names=list(names), joint_position=[float(v) for v in q], speed=speed)
         return self._do(goal, cancel_after)
 
-    def move_line(self, p: Array, R: Array, speed: float, cancel_after: float | None = None) -> Answer:
-        """Straight; m, rotation matrix, m/s."""
+    def move_line(
+        self, p: Array, R: Array, speed: float, cancel_after: float | None = None, cancel_when: Callable[[], bool] | None = None
+    ) -> Answer:
+        """Straight; m, rotation matrix, m/s. cancel_when: asked with every message that comes while it moves."""
         goal = Move.Goal(kind=Move.Goal.LINEAR, speed=speed)
         goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = (float(v) for v in p)
         o = goal.pose.orientation
         o.x, o.y, o.z, o.w = (float(v) for v in Rotation.from_matrix(np.array(R)).as_quat())
-        return self._do(goal, cancel_after)
+        return self._do(goal, cancel_after, cancel_when)
 
-    def _do(self, goal: Move.Goal, cancel_after: float | None) -> Answer:
-        begin = self.now
+    def _do(self, goal: Move.Goal, cancel_after: float | None, cancel_when: Callable[[], bool] | None = None) -> Answer:
+        begin, self.cancelled_at = self.now, None
         sent = self._move.send_goal_async(goal)
         self.wait(sent.done, "answer to a goal of robot/move")
         handle = sent.result()
@@ -203,7 +206,10 @@ class DriverClient:
         result = handle.get_result_async()
         if cancel_after is not None:
             self.pause(cancel_after)
-            begin = self.now
+        elif cancel_when is not None:
+            self.wait(lambda: result.done() or cancel_when(), "end of a move")
+        if cancel_after is not None or (cancel_when is not None and not result.done()):
+            begin, self.cancelled_at = self.now, self.tcp()[0]
             handle.cancel_goal_async()
         self.wait(result.done, "end of a move")
         answer = result.result()

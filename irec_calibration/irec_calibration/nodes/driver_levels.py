@@ -71,6 +71,7 @@ def moves(client: DriverClient, cell: Cell, axes: Axes, settings: Settings) -> l
     answers.append(client.move_line(p0, R0, SPEED))
     cancelled = client.move_line(p0 + LINE * back, R0, SPEED, cancel_after=0.8)
     p_cancelled = client.tcp()[0]
+    at_cancel = p_cancelled if client.cancelled_at is None else client.cancelled_at
     answers.append(client.move_line(p0, R0, SPEED))
     here = client.tcp()[0]
     beyond = q0.copy()
@@ -84,7 +85,8 @@ def moves(client: DriverClient, cell: Cell, axes: Axes, settings: Settings) -> l
     }
     moved = float(np.linalg.norm(client.tcp()[0] - here))
     line = np.array([p0, p0 + LINE * back])
-    return judge_moves(Moves(standing, way, line, arrived, answers, cancelled, p_cancelled, refused, moved), cell, axes)
+    seen = Moves(standing, way, line, arrived, answers, cancelled, p_cancelled, at_cancel, SPEED, refused, moved)
+    return judge_moves(seen, cell, axes)
 
 
 def pressing(client: DriverClient, settings: Settings) -> list[Item]:

@@ -10,20 +10,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from irec_calibration.cell import read_cell
-from irec_calibration.driver_check.moving import Moves, _sensor_in_tool, judge_moves
+from irec_calibration.cell import Cell, read_cell
+from irec_calibration.driver_check.moving import Moves, judge_moves
 from irec_calibration.driver_check.observed import Answer, Item, Observation, Stream, report
 from irec_calibration.driver_check.offset import Offsets, judge_offset
 from irec_calibration.driver_check.passive import judge_passive
 from irec_calibration.driver_check.pressing import Pressing, judge_pressing
+from irec_calibration.driver_check.weighing import mass_verdict, sensor_in_tool, stated_mass, weigh
 from irec_calibration.procedure.axes import read_axes
+from irec_calibration.robot import Payload, Robot
 from scipy.spatial.transform import Rotation
 
 CELL = read_cell(Path(__file__).parents[3] / "config" / "cells" / "afp.yaml")
 AXES = read_axes(CELL)
 STATION = CELL.stations[0]
-SENSOR = _sensor_in_tool(CELL)
-MASS, BIAS = 12.0, np.array([18.0, -11.0, 25.0])
+SENSOR = sensor_in_tool(CELL.robot, "ft_sensor")
+MASS, BIAS = 120.0, np.array([18.0, -11.0, 25.0])
 
 
 def stream(t: np.ndarray, value: np.ndarray, frame: str = "", names: tuple[str, ...] = ()) -> Stream:
@@ -153,9 +155,10 @@ def moves() -> Moves:
     line = np.array([tcp[0, :3], tcp[-1, :3]])
     refused = {"a pose out of reach": Answer(False, "out of reach", 0.1)}
     ok = Answer(True, "", 1.0)
+    stopped = line.mean(axis=0)
     return Moves(
-        stood, way, line, [(line[1], line[1] + 1e-5)], [ok], Answer(False, "", 0.4, True), line.mean(axis=0), refused, 0.0
-    )
+        stood, way, line, [(line[1], line[1] + 1e-5)], [ok], Answer(False, "", 0.4, True), stopped, stopped, 0.05, refused, 0.0
+    )  # fmt: skip
 
 
 def test_a_true_driver_passes_the_moves() -> None:
@@ -184,6 +187,17 @@ MOVES: dict[str, tuple[Callable[[Moves], Moves], str]] = {
     "weight in wrench": (everywhere("wrench", value=lambda v: v + 60.0), "remove the tool's weight from wrench"),
     "raw sensor with the sign turned": (everywhere("wrench_raw", value=lambda v: -v), "a tool that hangs pulls down"),
     "cancel ignored": (lambda m: replace(m, cancelled=Answer(True, "", 1.2)), "a cancelled move answers canceled: not canceled"),
+    "cancel answered and ignored": (lambda m: replace(m, p_cancelled=m.line[1]),
+        "a cancelled move stops before its end: 0.0 mm before the end of a line of"),
+    "slow to stop": (lambda m: replace(m, at_cancel=m.p_cancelled - [0.0, 0.0, 0.03]),
+        "a cancelled move goes no further: 30.0 mm after the cancel at 50 mm/s (limit 25.0 mm, 0.5 s of the speed)"),
+    "raw sensor in pounds": (everywhere("wrench_raw", value=lambda v: 0.2248 * v),
+        "mass of the tool on wrench_raw: 27.0 kg are weighed, 120 kg are stated"),
+    "advice for pounds": (everywhere("wrench_raw", value=lambda v: 0.2248 * v), "it seems to be in pounds (lbf), N is needed"),
+    "raw sensor in kilograms": (everywhere("wrench_raw", value=lambda v: v / 9.807), "kilograms (kgf), N is needed"),
+    "raw sensor in kN": (everywhere("wrench_raw", value=lambda v: 1e-3 * v), "it seems to be in kN, N is needed"),
+    "raw sensor of half the gain": (everywhere("wrench_raw", value=lambda v: 0.5 * v),
+        "the sensor's gain seems to be 0.5 of what it should be; with such a scale the robot presses with 2 times"),
     "cancel leaves the path": (lambda m: replace(m, p_cancelled=m.p_cancelled + [0, 0, 0.01]),
         "a cancelled move stays on its path"),
     "refuses nothing": (lambda m: replace(m, refused={"a pose out of reach": Answer(True, "", 2.0)}),
@@ -196,6 +210,41 @@ MOVES: dict[str, tuple[Callable[[Moves], Moves], str]] = {
 def test_a_wrong_driver_fails_the_moves_with_the_right_sentence(wrong: str) -> None:
     fault, sentence = MOVES[wrong]
     assert sentence in failures(judge_moves(fault(moves()), CELL, AXES))
+
+
+def with_payload(mass: float, frame: str = "ft_sensor") -> Cell:
+    """The cell whose description has a tool of no mass, with a payload."""
+    bare = Robot(CELL.robot.urdf_text.replace('<mass value="120"/>', '<mass value="0"/>'))
+    raw = {**CELL.raw, "force_sensor": {**CELL.raw["force_sensor"], "frame": frame}}
+    return replace(CELL, robot=bare, payload=Payload(mass), raw=raw)
+
+
+def weighed(cell: Cell) -> Item:
+    return next(i for i in judge_moves(moves(), cell, AXES) if i.name == "mass of the tool on wrench_raw")
+
+
+def test_where_nobody_states_what_the_sensor_carries_the_report_says_that_nothing_was_compared() -> None:
+    item = weighed(with_payload(0.0))
+    assert item.passed and "not compared: 120.0 kg are weighed" in item.figure and "states no mass" in item.figure
+
+
+def test_the_payload_of_the_cell_file_is_what_the_sensor_carries() -> None:
+    assert weighed(with_payload(120.0)).passed and weighed(with_payload(100.0)).passed
+    assert "120.0 kg are weighed, 30 kg are stated" in weighed(with_payload(30.0)).figure
+    assert not weighed(with_payload(30.0)).passed
+
+
+def test_a_sensor_that_the_description_does_not_have_between_arm_and_tool_is_not_compared() -> None:
+    assert stated_mass(with_payload(30.0, "tool0")) == (0.0, 0.0) and weighed(with_payload(30.0, "tool0")).passed
+
+
+def test_a_light_tool_that_is_weighed_badly_is_not_told_from_its_mass() -> None:
+    """2 kg with 20 N of noise in each orientation."""
+    R = CELL.robot.kinematics(CELL.home + np.pad(TURNS, ((0, 0), (4, 0)))).R_tool
+    rng = np.random.default_rng(5)
+    force = np.einsum("nji,j->ni", R, [0.0, 0.0, -9.81 * 2.0]) + rng.normal(0.0, 20.0, (len(R), 3))
+    w = weigh(np.array(R), force)
+    assert w.error > 1.0 and mass_verdict(w, with_payload(2.0))[0]
 
 
 # --- pressing -----------------------------------------------------------------------------------------------------------
