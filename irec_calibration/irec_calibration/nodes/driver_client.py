@@ -170,6 +170,10 @@ class DriverClient:
         self.wait(lambda: bool(self._received[topic]), f"message on {topic}")
         return np.array(self._received[topic][-1][2], dtype=float)
 
+    def newest(self, topic: str, n: int) -> Array:
+        """Values of the newest n messages of a topic, oldest first, (n, m) or fewer."""
+        return np.array([values for _, _, values, _, _ in self._received[topic][-n:]], dtype=float)
+
     def joints(self, names: Sequence[str]) -> Array:
         """Newest positions in this order."""
         self.wait(lambda: bool(self._received["joint_states"]), "message on joint_states")

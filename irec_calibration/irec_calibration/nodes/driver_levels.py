@@ -14,9 +14,11 @@ from ..driver_check.offset import Offsets, judge_offset
 from ..driver_check.passive import judge_passive
 from ..driver_check.pressing import LEAVE, Pressing, judge_pressing
 from ..poses.checker import Checker
+from ..procedure.arrival import TOUCH_N, TOUCH_SHARE
 from ..procedure.axes import Axes
 from ..procedure.commands import LONGEST_LEASE
 from ..procedure.settings import Settings
+from ..procedure.standstill import LOOK_BACK, second_largest
 from ..typing import Array
 from .driver_client import DriverClient
 
@@ -177,7 +179,8 @@ def offset(client: DriverClient) -> list[Item]:
 def above_surface(
     client: DriverClient, cell: Cell, axes: Axes, settings: Settings, q: Array, rail: float, distance: float
 ) -> Answer:
-    """To the first pose of the cell: over HOME and its approach pose to `distance` m before contact."""
+    """To the first pose of the cell: over HOME and its approach pose to `distance` m before contact; close to the surface
+    the last stretch is slow, and the tool is taken back where it touches something."""
     at = cell.robot.kinematics(q[None])
     p, R = at.p_tcp[0], at.R_tool[0]
     q_approach, _ = Checker(cell).approach(q[None], at.p_tcp, at.R_tool)
@@ -186,4 +189,25 @@ def above_surface(
         answer = client.move_joints(axes.driver[: len(position)], position, settings.home_speed)
         if not answer.success:
             return answer
-    return client.move_line(p - distance * R[:, 2], R, settings.linear_speed)
+    near = distance + (settings.checks.near_m if distance < FAR else 0.0)
+    answer = client.move_line(p - near * R[:, 2], R, settings.linear_speed)
+    if not answer.success or near == distance:
+        return answer
+    limit = max(TOUCH_N, TOUCH_SHARE * PUSH)
+    free = client.last("wrench")[:3]
+
+    def touches() -> bool:
+        return second_largest(np.linalg.norm(client.newest("wrench", LOOK_BACK)[:, :3] - free, axis=1)) > limit
+
+    answer = client.move_line(p - distance * R[:, 2], R, settings.near_speed, cancel_when=touches)
+    if client.cancelled_at is None:
+        return answer
+    read = np.round(client.last("wrench")[:3]).tolist()
+    client.move_line(client.tcp()[0] - FAR * R[:, 2], R, settings.near_speed)
+    return Answer(
+        False,
+        f"the tool touches something before the reference: the wrench reads {read} N, limit {limit:.0f} N;"
+        " does the tooling stand nearer than the cell file says?",
+        answer.took,
+        answer.cancelled,
+    )

@@ -17,6 +17,7 @@ from .commands import MoveJoint, MoveLinear
 from .marker_way import free_way_problem
 from .plausible import newtons
 from .settings import LEAST_UNLOADED_N, UNLOADED_SHARE
+from .standstill import LOOK_BACK, second_largest
 
 if TYPE_CHECKING:
     from .machine import Procedure
@@ -185,20 +186,27 @@ def _judge_unloaded(p: Procedure, beside: Array, silent: bool) -> None:
         p.stop(problem)
 
 
+def _forces_on_the_way(p: Procedure) -> Array:
+    """The newest LOOK_BACK forces since the move under way was asked for, (n, 3), N."""
+    return p.streams.last_forces(max(0, min(LOOK_BACK, p.streams.counts["force"] - p.forces_at_move)))
+
+
 def force_rises(p: Procedure) -> str:
     """Why the move out of the contact under way is to be cancelled: the force rises where it is to fall. Empty: it does not."""
-    read = p.streams.last_forces(2)
+    read = _forces_on_the_way(p)
     if not p.moving or len(read) < 2 or not np.isfinite(p.force_at_move).all():
         return ""
     margin = touch_limit(p) if p.state == "retract" else unloaded_limit(p)  # nothing swings while it moves slowly
     began, largest = p.force_at_move, p.settings.force_abort_n
-    pressing, limit = float((-read[:, 2]).min()), max(0.0, -float(began[2])) + margin
-    size, limit_of_all = float(np.linalg.norm(read, axis=1).min()), max(largest, float(np.linalg.norm(began)) + margin)
+    pressing, limit = second_largest(-read[:, 2]), max(0.0, -float(began[2])) + margin
+    sizes = np.linalg.norm(read, axis=1)
+    size, limit_of_all = second_largest(sizes), max(largest, float(np.linalg.norm(began)) + margin)
     if not (pressing > limit or size > limit_of_all):
         return ""
     return (
-        f"the robot presses harder on its way out of the contact: {newtons(read[-1])} N, {newtons(began)} N when it began, limit"
-        f" {limit:.0f} N along the tool and {limit_of_all:.0f} N in all: {_into_the_surface(p)}; the move was cancelled"
+        f"the robot presses harder on its way out of the contact: {newtons(read[int(sizes.argmax())])} N, {newtons(began)} N when"
+        f" it began, limit {limit:.0f} N along the tool and {limit_of_all:.0f} N in all: {_into_the_surface(p)}; the move was"
+        " cancelled"
     )
 
 
@@ -220,14 +228,14 @@ def _into_the_surface(p: Procedure) -> str:
 
 def touches_on_the_way(p: Procedure) -> str:
     """Why the advance to the reference is to be cancelled: the tool touches something. Empty: it does not."""
-    read = p.streams.last_forces(2)
+    read = _forces_on_the_way(p)
     if not p.moving or len(read) < 2:
         return ""
-    size = float(np.linalg.norm(read - p.force_unloaded, axis=1).min())
-    if not size > touch_limit(p):
+    sizes = np.linalg.norm(read - p.force_unloaded, axis=1)
+    if not second_largest(sizes) > touch_limit(p):
         return ""
     return (
-        f"the tool touches the tooling before the reference: the wrench reads {newtons(read[-1])} N, limit"
+        f"the tool touches the tooling before the reference: the wrench reads {newtons(read[int(sizes.argmax())])} N, limit"
         f" {touch_limit(p):.0f} N, and {newtons(p.force_unloaded)} N in free air; the tooling stands nearer than the"
         " cell file says"
     )

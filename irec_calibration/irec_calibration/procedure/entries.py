@@ -80,15 +80,25 @@ def move_to_approach(p: Procedure) -> None:
     p.move(MoveJoint(target.q_approach, target.rail, p.settings.home_speed))
 
 
-def move_to_reference(p: Procedure) -> None:
-    """Lines 6 and 7."""
+def move_near(p: Procedure) -> None:
+    """Lines 6 and 7, as far as the robot may go fast: `near_m` before the reference."""
     target = p.work[p.index][0]
     if problem := _standing_problem(p):
         p.stop(problem)
         return
     read = p.streams.mean_force(-np.inf, AIR_WINDOW)
     p.force_in_air = p.force_unloaded = np.zeros(3) if read is None else read
-    p.move(MoveLinear(target.p_reference, target.R_tool_in_base, p.settings.linear_speed))
+    z = target.R_tool_in_base[:, 2]
+    if float((target.p_reference - target.p_approach) @ z) <= p.settings.checks.near_m:  # all of the way is the last stretch
+        p.go("near")
+        return
+    p.move(MoveLinear(target.p_reference - p.settings.checks.near_m * z, target.R_tool_in_base, p.settings.linear_speed))
+
+
+def move_to_reference(p: Procedure) -> None:
+    """Lines 6 and 7, so slowly that a cancel ends a touch of the tooling before the force is dangerous."""
+    target = p.work[p.index][0]
+    p.move(MoveLinear(target.p_reference, target.R_tool_in_base, p.settings.near_speed))
 
 
 def _standing_problem(p: Procedure) -> str:
@@ -287,7 +297,7 @@ def _newest_newtons(p: Procedure) -> str:
 
 
 _ALL = (
-    nothing, switch_to_position, move_out, begin_pose, move_home, move_to_approach, move_to_reference, begin_window,
+    nothing, switch_to_position, move_out, begin_pose, move_home, move_to_approach, move_near, move_to_reference, begin_window,
     record_and_switch, ask_for_contact, ask_for_force, record_row, count_case, move_off, move_to_retract, count_pose, give_up,
     stand_off, let_go,
 )  # fmt: skip

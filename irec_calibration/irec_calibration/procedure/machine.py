@@ -20,7 +20,7 @@ from .elapsed import CellTime
 from .plausible import Plausibility
 from .settings import Settings
 from .standstill import Streams, Window
-from .table import NEAR_CONTACT, PRESSING, STATES
+from .table import NEAR_CONTACT, PRESSING, STATES, WAY_IN
 from .watch import Watch
 
 RENEWALS = 5  # force set points per lease
@@ -94,6 +94,7 @@ class Procedure:
         self.force_in_air = np.zeros(3)  # read at the approach of the pose under way, (3,), N
         self.force_unloaded = np.zeros(3)  # read at the approach of the pose under way, then at its reference, (3,), N
         self.force_at_move = np.zeros(3)  # when the move under way was asked for, (3,), N; NaN: not known
+        self.forces_at_move = 0  # readings of the force until then
         self.p_contact: Array | None = None  # TCP by the controller when contact was made at it, m in base_link
         self.p_touch: Array | None = None  # likewise when the tool touched
         self.p_pressed: list[Array] = []  # mean of it in each load case that was recorded at the pose
@@ -141,7 +142,7 @@ class Procedure:
         if success:
             self.moved = True
             self.answered_at, self.counts_at_answer = self.time.elapsed, dict(self.streams.counts)
-        elif self.state in ("withdraw", "home", "approach", "advance", "lift", "retract"):
+        elif self.state in ("withdraw", "home", "approach", *WAY_IN, "lift", "retract"):
             self.fail(f"the move was not carried out: {message}")
 
     def mode_switched(self, success: bool, message: str = "", force_lease: float = 0.0) -> None:
@@ -344,6 +345,7 @@ class Procedure:
         tcp, force = self.streams.newest_tcp, self.streams.newest_force
         self.moved_from = None if tcp is None else tcp[0]
         self.force_at_move = np.full(3, np.nan) if force is None else force
+        self.forces_at_move = self.streams.counts["force"]
         self.out.append(command)
 
     def switch(self, force: bool, force_in_tool: Array) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .plausible import what_is_read
+from .standstill import LOOK_BACK, second_largest
 from .table import PRESSING
 
 if TYPE_CHECKING:
@@ -63,8 +64,8 @@ class PressingWatch:
     def _touched(self) -> None:
         """Where the tool was when the force first rose: the arm gives way from then on."""
         p = self._p
-        newest, tcp = p.streams.last_forces(2), p.streams.newest_tcp
-        if p.p_touch is None and tcp is not None and len(newest) == 2 and float(np.abs(newest[:, 2]).min()) > TOUCH_N:
+        newest, tcp = p.streams.last_forces(LOOK_BACK), p.streams.newest_tcp
+        if p.p_touch is None and tcp is not None and second_largest(np.abs(newest[:, 2])) > TOUCH_N:
             p.p_touch = tcp[0]
 
     def _way(self, read: float) -> str:
@@ -152,7 +153,7 @@ class PressingWatch:
         p = self._p
         if p.state == "contact":
             return ""
-        newest, before = p.streams.last_forces(2), p.streams.force_before(2, STEP_WINDOW)
+        newest, before = p.streams.last_forces(LOOK_BACK), p.streams.force_before(LOOK_BACK, STEP_WINDOW)
         if before is None or len(newest) < 2:
             return ""
         was, wanted = float(before[2]), float(p.setpoint[2])
@@ -160,10 +161,11 @@ class PressingWatch:
         if abs(was - wanted) > STEP_NEAR * abs(wanted):  # it had not been reached yet, or is another one now
             return ""
         steps = newest[:, 2] - was
-        if not (np.abs(steps).min() > limit and steps[0] * steps[1] > 0.0):
+        if max(second_largest(steps), second_largest(-steps)) <= limit:  # two of them, and to the same side
             return ""
+        now = newest[int(np.abs(steps).argmax()), 2]
         return (
-            f"the force along the tool has stepped from {was:.0f} to {newest[-1, 2]:.0f} N while {wanted:.0f} N was"
+            f"the force along the tool has stepped from {was:.0f} to {now:.0f} N while {wanted:.0f} N was"
             f" asked for all the time, limit {limit:.0f} N: was the sensor's bias set anew under load, or is the contact lost?"
         )
 

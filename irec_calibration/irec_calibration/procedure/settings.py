@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,8 @@ class Checks:
         surface_m: way beyond the reference distance on which contact has to be made, m.
         advance_share: largest further way into the surface at a constant force, as a share of the way from touch to that force.
         advance_m: further way that is always allowed, m.
+        near_m, near_speed: last stretch before the reference, m, and speed of the TCP on it, m/s; faster a cancel comes too late
+            where the tooling stands nearer than the cell file says.
         lift_speed: of the TCP on the first millimetres out of the contact, m/s; faster the robot stops too late where it is led
             the other way.
         marker_m: largest difference between the ways of the marker and of the TCP within one pose, m, the deflection left out.
@@ -63,6 +65,8 @@ class Checks:
     surface_m: float = 0.01
     advance_share: float = 0.5
     advance_m: float = 2e-4
+    near_m: float = 0.01
+    near_speed: float = 0.003
     lift_speed: float = 0.005
     marker_m: float = 1e-3
     least_wrench_hz: float = 50.0
@@ -102,6 +106,11 @@ class Settings:
     operator_at_robot: bool = False
     without_tracker: bool = False
     checks: Checks = Checks()
+
+    @property
+    def near_speed(self) -> float:
+        """Of the TCP on the last stretch before the reference, m/s."""
+        return min(self.checks.near_speed, self.linear_speed)
 
 
 @dataclass(frozen=True)
@@ -170,6 +179,7 @@ def read_settings(cell: Cell) -> Settings:
         checks=_checks(s),
     )
     check_loads(cell, settings)
+    settings = _in_time(cell, settings, "checks" in s and "near_m" in s.section("checks"))
     held = settings.settling.hold_s + settings.window_s
     if held >= settings.timeouts["settle"]:
         raise CellError(
@@ -185,6 +195,20 @@ def _checks(procedure: Section) -> Checks:
     s = procedure.section("checks")
     s.only(*Checks.__dataclass_fields__)
     return Checks(**{name: s.number(name, 0.0) for name in Checks.__dataclass_fields__ if name in s})
+
+
+def _in_time(cell: Cell, settings: Settings, stated: bool) -> Settings:
+    """With a last stretch that half of the time-out is enough for; one that the cell file states has to be. Raises CellError."""
+    most = 0.5 * settings.timeouts["advance"] * settings.near_speed
+    if settings.checks.near_m <= most:
+        return settings
+    if stated:
+        raise CellError(
+            f"{cell.path}: procedure.checks.near_m is {settings.checks.near_m:g} m, at {settings.near_speed:g} m/s (near_speed)"
+            f" this takes {settings.checks.near_m / settings.near_speed:.3g} s, must be at most half of"
+            f" procedure.timeouts.advance, {settings.timeouts['advance']:g} s"
+        )
+    return replace(settings, checks=replace(settings.checks, near_m=most))
 
 
 def _flag(cell: Cell, section: Section, key: str) -> bool:

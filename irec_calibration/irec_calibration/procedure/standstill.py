@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from .settings import Checks, Settling
 STAND_TIME = 0.05  # s
 STAND_MOVE = 2e-4  # rad or m in that time
 LEAST_SAMPLES = 4  # of which two halves can be compared
+LOOK_BACK = 4  # newest readings of which two have to be beyond a limit: no single one ends anything, and zeros between hide none
 DISORDER = 0.5  # s by which the stamp of a reading may be older than that of one before it
 
 
@@ -116,7 +118,7 @@ class Streams:
 
     def last_forces(self, n: int) -> Array:
         """The newest n forces, oldest first, (n, 3) or fewer, N."""
-        return np.array([item[1:4] for item in list(self._force)[-n:]]).reshape(-1, 3)
+        return np.array([item[1:4] for item in islice(reversed(self._force), n)][::-1]).reshape(-1, 3)
 
     def forces_of(self, length_s: float) -> Array:
         """The forces of the newest length_s, at least the newest one, (n, 3), N."""
@@ -182,6 +184,11 @@ class Streams:
         station = max({m[4] for m in marker}, key=[m[4] for m in marker].count)
         points = np.array([m[1:4] for m in marker if m[4] == station])
         return Window(start, end, force[:, 1:4], force[:, 4:7], points, station, joints[:, 1:], tcp[:, 1:4], tcp[:, 4:8])
+
+
+def second_largest(sizes: Array) -> float:
+    """What two of these sizes reach, (n,); 0 where there are fewer than two."""
+    return float(np.sort(sizes)[-2]) if len(sizes) > 1 else 0.0
 
 
 def _stands(stream: deque, values: int) -> bool:  # type: ignore[type-arg]

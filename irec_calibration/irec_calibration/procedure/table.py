@@ -12,7 +12,8 @@ guards.py, next state), the first guard that holds wins; `otherwise` is what a t
     stand_off     the way out of the contact was not driven: see below
     let_go        likewise, where the robot has not left the contact by itself
 
-The first millimetres out of the contact are driven slowly (`lift`), so that a move that leads the wrong way is stopped in time.
+The first millimetres out of the contact are driven slowly (`lift`), so that a move that leads the wrong way is stopped in time,
+and so are the last ones to the reference (`near`): tooling that stands nearer than the cell file says is touched, not hit.
 A way out of the contact counts where the robot stands at its end and the force is that of before contact. Where it does not,
 the move is cancelled and no other is asked for: `stand_off` waits for the driver to draw the tool back, which the contract asks
 of it; `let_go` switches to force control with no force and does not renew that, so that the lease leads out; a driver without
@@ -57,7 +58,8 @@ STATES = {
                                                                                   ("out_of_contact", "home")), "retract"),
         State("home",           "3-4",    "move_home",           "stop",         (("arrived", "approach"),)),
         State("approach",       "5",      "move_to_approach",    "next_pose",    (("arrived", "advance"),)),
-        State("advance",        "6-7",    "move_to_reference",   "skip_pose",    (("arrived", "reference"),)),
+        State("advance",        "6-7",    "move_near",           "skip_pose",    (("arrived", "near"),)),
+        State("near",           "6-7",    "move_to_reference",   "skip_pose",    (("arrived", "reference"),), "advance"),
         State("reference",      "8-9",    "begin_window",        "skip_pose",    (("stands_still", "force_mode"),)),
         State("force_mode",     "10-11",  "record_and_switch",   "skip_pose",    (("switched", "contact"),)),
         State("contact",        "12",     "ask_for_contact",     "skip_pose",    (("force_is_near", "establish"),), "establish"),
@@ -86,7 +88,8 @@ STATES = {
         # fmt: on
     )
 }
-NEAR_CONTACT = ("advance", "reference", "force_mode", "contact", "establish", "settle", "record", "next_case", "position_mode",
-                "lift", "retract")  # fmt: skip
+NEAR_CONTACT = ("advance", "near", "reference", "force_mode", "contact", "establish", "settle", "record", "next_case",
+                "position_mode", "lift", "retract")  # fmt: skip
+WAY_IN = ("advance", "near")  # moves towards the tooling
 WAY_OUT = ("withdraw", "lift", "retract")  # moves out of the contact
 PRESSING = ("contact", "establish", "settle", "record", "next_case")  # a force set point is renewed

@@ -10,7 +10,7 @@ import numpy as np
 
 from .arrival import force_rises, touches_on_the_way
 from .pressing import MODE_GRACE, PressingWatch
-from .table import PRESSING, WAY_OUT
+from .table import PRESSING, WAY_IN, WAY_OUT
 
 if TYPE_CHECKING:
     from .machine import Procedure
@@ -69,7 +69,7 @@ class Watch:
             return
         if p.state in ("idle", "paused", "finished", "failed") or p.stopped_because:
             return
-        if p.state == "advance" and (reason := touches_on_the_way(p)):
+        if p.state in WAY_IN and (reason := touches_on_the_way(p)):
             p.fail(reason)
             return
         reason = self._clock() or self._silence(steady) or self._force() or self._robot_state() or self._pressing.problem()
@@ -94,9 +94,10 @@ class Watch:
         return ""
 
     def _force(self) -> str:
-        force, s = self._p.streams.newest_force, self._p.settings
-        if force is None:
+        newest, s = self._p.streams.last_forces(2), self._p.settings  # zeros between may be of somebody else
+        if not len(newest):
             return ""
+        force = newest[int(np.linalg.norm(newest, axis=1).argmax())]
         if not np.linalg.norm(force) <= s.force_abort_n:
             return f"force is {np.linalg.norm(force):.0f} N, limit {s.force_abort_n:.0f} N"
         if not np.abs(force).max() <= s.sensor_range_n:

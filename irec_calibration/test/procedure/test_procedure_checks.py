@@ -107,6 +107,18 @@ def test_a_wrong_cell_file_names_file_field_value_and_limit(tmp_path: Path, old:
     assert "cell.yaml" in str(error.value)
 
 
+def test_a_last_stretch_that_takes_longer_than_half_of_its_time_out_is_refused_where_it_is_stated(tmp_path: Path) -> None:
+    stated = changed_cell(tmp_path, "  min_samples: 20", "  min_samples: 20\n  checks: {near_m: 0.05, near_speed: 0.003}")
+    with pytest.raises(CellError, match=r"procedure\.checks\.near_m is 0\.05 m, at 0\.003 m/s \(near_speed\) this takes 16\.7 s"):
+        read_settings(read_cell(stated))
+
+
+def test_a_cell_file_that_states_none_is_valid_whatever_its_time_out(tmp_path: Path) -> None:
+    short = read_settings(read_cell(changed_cell(tmp_path, "    advance: 20.0", "    advance: 2.0")))
+    assert short.checks.near_m == pytest.approx(0.003) and short.near_speed == 0.003
+    assert read_settings(read_cell(CELLS / "afp.yaml")).checks.near_m == 0.01
+
+
 @pytest.mark.parametrize("name", ["afp", "milling"])
 def test_the_cells_that_come_with_it_are_complete(name: str) -> None:
     cell = read_cell(CELLS / f"{name}.yaml")

@@ -114,7 +114,7 @@ def test_a_robot_that_can_not_be_led_out_of_the_contact_is_told_with_its_force()
 
 def test_the_first_millimetres_out_of_the_contact_are_slow() -> None:
     robot = FakeRobot(1, settings={"checks": Checks(lift_speed=0.004)}).start().run()
-    lift, retract = [c for c in robot.commands if isinstance(c, MoveLinear)][1:]
+    lift, retract = [c for c in robot.commands if isinstance(c, MoveLinear)][2:]
     assert lift.speed == 0.004 and lift.p_in_base[2] == pytest.approx(-0.006)
     assert retract.speed == robot.procedure.settings.linear_speed
 
@@ -156,17 +156,45 @@ def test_a_move_that_ends_half_way_ends_the_run(state: str) -> None:
     assert robot.is_safe and not robot.rows
 
 
-def test_an_advance_that_meets_the_tooling_is_cancelled_on_its_way() -> None:
-    robot = FakeRobot(6).start().run(stop_when="advance")
+@pytest.mark.parametrize("state", ["advance", "near"])
+@pytest.mark.parametrize("every", [1, 2], ids=["each reading", "every second reading"])
+def test_an_advance_that_meets_the_tooling_is_cancelled_on_its_way(state: str, every: int) -> None:
+    robot = FakeRobot(6).start().run(stop_when=state)
     for _ in range(20):
         robot.tick()
-    robot.extra_force = np.array([0.0, 0.0, -200.0])
+    for k in range(20):
+        robot.extra_force = np.array([0.0, 0.0, -200.0 if k % every == 0 else 0.0])
+        if robot.procedure.state == state:
+            robot.tick()
     robot.run(stop_when="lift")
     assert any(isinstance(c, CancelMove) for c in robot.commands)
     robot.extra_force = np.zeros(3)
     robot.run()
     assert "touches the tooling before the reference" in robot.events[0].text
     assert robot.procedure.counts.complete == 5 and robot.is_safe
+
+
+def test_one_wrong_reading_cancels_no_advance() -> None:
+    robot = FakeRobot(1).start().run(stop_when="near")
+    robot.extra_force = np.array([0.0, 0.0, -200.0])
+    robot.tick()
+    robot.extra_force = np.zeros(3)
+    robot.run()
+    assert robot.procedure.counts.complete == 1 and not any(isinstance(c, CancelMove) for c in robot.commands)
+
+
+def test_the_last_centimetre_to_the_reference_is_slow() -> None:
+    robot = FakeRobot(1).start().run()
+    advance, near = [c for c in robot.commands if isinstance(c, MoveLinear)][:2]
+    assert advance.speed == robot.procedure.settings.linear_speed and advance.p_in_base[2] == pytest.approx(-0.013)
+    assert near.speed == 0.003 and near.p_in_base[2] == pytest.approx(-0.003)
+
+
+def test_where_the_approach_pose_is_nearer_than_that_all_of_the_way_is_slow() -> None:
+    robot = FakeRobot(1, settings={"checks": Checks(near_m=0.2, near_speed=0.02)}).start().run()
+    near, lift = [c for c in robot.commands if isinstance(c, MoveLinear)][:2]
+    assert near.speed == 0.02 and near.p_in_base[2] == pytest.approx(-0.003) and lift.p_in_base[2] == pytest.approx(-0.006)
+    assert robot.procedure.counts.complete == 1
 
 
 # --- what a run finds ---------------------------------------------------------------------------------------------------------

@@ -29,8 +29,8 @@ def test_one_pose_goes_through_the_states_in_the_order_of_the_paper() -> None:
     robot = FakeRobot(1).start().run()
     visited = [s for s in robot.states if s not in ("record", "next_case", "next_pose", "idle")]
     assert visited == [
-        "position_first", "home", "approach", "advance", "reference", "force_mode", "contact", *["establish", "settle"] * 3,
-        "position_mode", "lift", "retract", "finished",
+        "position_first", "home", "approach", "advance", "near", "reference", "force_mode", "contact",
+        *["establish", "settle"] * 3, "position_mode", "lift", "retract", "finished",
     ]  # fmt: skip
 
 
@@ -62,10 +62,11 @@ def test_every_state_that_waits_for_the_robot_has_a_timeout() -> None:
 def test_the_robot_advances_only_from_the_approach_pose_and_goes_back_there() -> None:
     robot = FakeRobot(1).start().run()
     moves = [c for c in robot.commands if isinstance(c, MoveJoint | MoveLinear)]
-    assert [type(m).__name__ for m in moves] == ["MoveJoint", "MoveJoint", "MoveLinear", "MoveLinear", "MoveLinear"]
-    assert moves[2].p_in_base[2] == pytest.approx(-0.003)  # type: ignore[union-attr]
-    assert moves[3].p_in_base[2] == pytest.approx(-0.006) and moves[3].speed == 0.005  # type: ignore[union-attr]
-    assert moves[4].p_in_base[2] == pytest.approx(-0.15)  # type: ignore[union-attr]
+    assert [type(m).__name__ for m in moves] == ["MoveJoint", "MoveJoint", *["MoveLinear"] * 4]
+    assert moves[2].p_in_base[2] == pytest.approx(-0.013)  # type: ignore[union-attr]
+    assert moves[3].p_in_base[2] == pytest.approx(-0.003)  # type: ignore[union-attr]
+    assert moves[4].p_in_base[2] == pytest.approx(-0.006) and moves[4].speed == 0.005  # type: ignore[union-attr]
+    assert moves[5].p_in_base[2] == pytest.approx(-0.15)  # type: ignore[union-attr]
 
 
 def move_names(robot: FakeRobot) -> list[str]:
@@ -76,7 +77,7 @@ def test_a_repeat_advances_again_from_the_approach_pose_without_the_way_home() -
     robot = FakeRobot(2, repeats=3, order_seed=4).start().run()
     assert [(r.pose, r.repeat) for r in robot.rows if r.load_case == 0] == [(p, k) for p in (1, 2) for k in range(3)]
     assert kinds(robot) == ["complete"] * 6 + ["finished"] and robot.is_safe
-    assert move_names(robot) == ["MoveJoint", "MoveJoint", *["MoveLinear", "MoveLinear", "MoveLinear"] * 3] * 2
+    assert move_names(robot) == ["MoveJoint", "MoveJoint", *["MoveLinear"] * 4 * 3] * 2
     orders = {tuple(r.load_case for r in robot.rows if (r.pose, r.repeat) == (1, k)) for k in range(3)}
     assert len(orders) > 1, "each repeat draws an order of its own"
 
@@ -87,7 +88,7 @@ def test_poses_of_other_numbers_at_the_same_place_are_visited_without_the_way_ho
     robot.procedure.work[1] = (replace(first, pose=second.pose), 0)
     robot.start().run()
     assert [r.pose for r in robot.rows if r.load_case == 0] == [1, 2]
-    assert move_names(robot) == ["MoveJoint", "MoveJoint", *["MoveLinear", "MoveLinear", "MoveLinear"] * 2] and robot.is_safe
+    assert move_names(robot) == ["MoveJoint", "MoveJoint", *["MoveLinear"] * 4 * 2] and robot.is_safe
 
 
 def test_a_repeat_after_one_that_was_given_up_or_broken_off_begins_at_home() -> None:
@@ -98,7 +99,7 @@ def test_a_repeat_after_one_that_was_given_up_or_broken_off_begins_at_home() -> 
     robot.sees_marker = True
     robot.run()
     assert [(r.pose, r.repeat) for r in robot.rows if r.load_case == 0] == [(1, 1)]
-    assert move_names(robot) == ["MoveJoint", "MoveJoint", "MoveLinear", "MoveLinear", "MoveLinear"] * 2
+    assert move_names(robot) == ["MoveJoint", "MoveJoint", *["MoveLinear"] * 4] * 2
 
     robot = FakeRobot(1, repeats=2).start()
     robot.run(stop_when="settle")
@@ -106,7 +107,7 @@ def test_a_repeat_after_one_that_was_given_up_or_broken_off_begins_at_home() -> 
     robot.run(stop_when="paused")
     robot.procedure.resume()
     robot.run()
-    assert move_names(robot)[:7] == ["MoveJoint", "MoveJoint", "MoveLinear", "MoveLinear", "MoveLinear", "MoveJoint", "MoveJoint"]
+    assert move_names(robot)[:8] == ["MoveJoint", "MoveJoint", *["MoveLinear"] * 4, "MoveJoint", "MoveJoint"]
     assert robot.is_safe
 
 

@@ -96,6 +96,30 @@ def test_contact_is_not_searched_for_further_than_the_cell_file_says() -> None:
     assert "no contact: the tool has advanced 8 mm" in robot.procedure.stopped_because and robot.is_safe
 
 
+def interleaved(robot: FakeRobot, force: np.ndarray, ticks: int = 40) -> FakeRobot:
+    """Every second reading is beside the true one by this, N, until the run does something else."""
+    state = robot.procedure.state
+    for k in range(ticks):
+        robot.extra_force = force * (k % 2)
+        if robot.procedure.state == state:
+            robot.tick()
+    return robot
+
+
+def test_a_force_that_steps_in_every_second_reading_ends_the_run_too() -> None:
+    robot = interleaved(FakeRobot(2).start().run(stop_when="settle"), np.array([0.0, 0.0, 1100.0]))
+    assert robot.procedure.state == "position_mode" and "has stepped from -1" in robot.procedure.stopped_because
+
+
+def test_a_force_beyond_the_abort_limit_is_seen_whoever_sends_the_newest_reading() -> None:
+    robot = FakeRobot(2).start().run(stop_when="home")
+    for force in (-1700.0, 0.0):  # between two looks
+        robot.streams.add_wrench(robot.now + 0.001, (0.0, 0.0, force, 0.0, 0.0, 0.0))
+    robot.delivers_force = False
+    robot.tick()
+    assert "force is 1700 N, limit 1600 N" in robot.procedure.stopped_because
+
+
 # --- the marker in contact ----------------------------------------------------------------------------------------------------
 
 

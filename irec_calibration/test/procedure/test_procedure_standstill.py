@@ -11,7 +11,7 @@ from fake_robot import FakeRobot, settings
 from hypothesis import given
 from hypothesis import strategies as st
 from irec_calibration.procedure.settings import Checks
-from irec_calibration.procedure.standstill import Streams, Window, drift, too_few, unsettled
+from irec_calibration.procedure.standstill import LOOK_BACK, Streams, Window, drift, second_largest, too_few, unsettled
 
 STILL = settings().settling
 TARGET = np.array([280.0, 0.0, -1100.0])
@@ -159,3 +159,12 @@ def test_a_mean_has_the_readings_of_its_time_whatever_came_between_them() -> Non
     streams.add_wrench(4.0, (3.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     mean = streams.mean_force(0.0, 0.041)  # from 3.960 on: ten of the first, and three more
     assert mean is not None and mean[0] == pytest.approx((12 * 3.0 + 14.0) / 13)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "reached"),
+    [([0.0, 0.0, 900.0, 0.0], 0.0), ([900.0, 0.0, 900.0, 0.0], 900.0), ([0.0, 0.0, 900.0, 905.0], 900.0), ([900.0], 0.0)],
+    ids=["spike", "every second reading is of somebody else", "plain excess", "one reading is not enough"],
+)
+def test_two_of_the_newest_readings_have_to_be_beyond_a_limit(sizes: list[float], reached: float) -> None:
+    assert len(sizes) <= LOOK_BACK and second_largest(np.array(sizes)) == reached
