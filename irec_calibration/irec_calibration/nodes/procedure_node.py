@@ -34,6 +34,7 @@ from .procedure_reports import ProcedureReports
 from .procedure_run import ProcedureRun
 from .procedure_start import StartCheck
 from .robot_link import RobotLink
+from .sources import SourceWatch, of_cell
 
 STEP_PERIOD = 0.01  # s of the machine's clock between looks at the readings
 STEP_CELL = 0.02  # s of the cell's clock after which a wrench makes a look, where the cell is faster than real time
@@ -67,7 +68,10 @@ class ProcedureNode(GuardedLifecycleNode):
         streams = Streams(5.0 + self.settings.window_s, tracker=not self.settings.without_tracker)
         self._inputs = Inputs(streams, axes, [station.name for station in self.cell.stations])
         self._link = RobotLink(self, axes)
-        self._starting = StartCheck(self._link, self._inputs, CorrectionWatch(self))
+        self._starting = StartCheck(
+            self._link, self._inputs, CorrectionWatch(self),
+            SourceWatch(self, of_cell(self.settings.without_tracker, len(self.cell.stations))),
+        )  # fmt: skip
         self._instruments = Instruments(self, self._inputs, self._on_robot_state, self._keep_up)
         self._reports = ProcedureReports(self, self.cell.serial)
         self.create_service(Trigger, "irec/procedure/pause", self._on_pause)
@@ -209,8 +213,8 @@ class ProcedureNode(GuardedLifecycleNode):
             return
         if self._goal is not None and self._goal.is_cancel_requested:
             procedure.stop("cancelled by the operator")
-        elif corrected := self._starting.correction:
-            procedure.stop(corrected)
+        elif disturbed := self._starting.disturbed:
+            procedure.stop(disturbed)
         rows, events = run.step(now, time.monotonic())
         self._reports.happened(rows, events)
         self._errors_in_a_row = 0

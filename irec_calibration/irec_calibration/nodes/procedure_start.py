@@ -11,6 +11,7 @@ from irec_msgs.msg import RobotState
 from ..procedure.inputs import Inputs
 from .correction_watch import CorrectionWatch
 from .robot_link import RobotLink
+from .sources import SourceWatch
 
 LATE = 0.3  # s of the machine's clock in which a message that was sent before the run was asked for may still come
 DISCOVERY = 0.5  # s of the machine's clock for another procedure on this graph to be seen
@@ -31,8 +32,8 @@ class Start:
 class StartCheck:
     """Asked again and again from when a run was asked for until it begins or is given up."""
 
-    def __init__(self, link: RobotLink, inputs: Inputs, correction: CorrectionWatch) -> None:
-        self._link, self._inputs, self._correction = link, inputs, correction
+    def __init__(self, link: RobotLink, inputs: Inputs, correction: CorrectionWatch, sources: SourceWatch) -> None:
+        self._link, self._inputs, self._correction, self._sources = link, inputs, correction, sources
         self._robot: RobotState | None = None
         self._robot_told = False
         self._asked = 0.0
@@ -62,6 +63,11 @@ class StartCheck:
         """Why nothing may be measured now as a correction is at work; empty where none is."""
         return self._correction.problem(self._robot)
 
+    @property
+    def disturbed(self) -> str:
+        """Why the run under way has to end: a correction is at work, or readings come from several senders."""
+        return self.correction or self._sources.in_a_run
+
     def look(self, now: float) -> Start:
         """Give up after ROBOT_WAIT, or RIVAL_WAIT where somebody else drives this robot. now: the cell's clock, s."""
         waited = time.monotonic() - self._asked
@@ -75,6 +81,8 @@ class StartCheck:
         counts = self._inputs.streams.counts
         missing += [f"readings on {topic}" for stream, topic in SILENT.items() if counts[stream] == self._before[stream]]
         rivals = self._link.rivals
+        if senders := self._sources.before_a_run:  # first: what two say together is no fault of one
+            return Start(stop=senders if waited > RIVAL_WAIT else "", waits=senders)
         if problem := self._inputs.problem or self.correction:
             return Start(stop=problem)
         if missing:

@@ -15,6 +15,7 @@ pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`
 
 from irec_calibration.cell import read_cell
 from irec_calibration.nodes import procedure_node, procedure_start
+from irec_calibration.nodes.sources import PATIENCE, SourceWatch, of_cell
 from irec_calibration.procedure.axes import read_axes
 from irec_calibration.procedure.inputs import Inputs
 from irec_calibration.procedure.standstill import Streams
@@ -39,8 +40,19 @@ class Asked:
         self.inputs = Inputs(Streams(5.0), AXES, ["A"])
         link: Any = SimpleNamespace(missing="", rivals="")
         correction: Any = SimpleNamespace(problem=lambda _: "")
-        self.check = procedure_start.StartCheck(link, self.inputs, correction)
+        self.senders: dict[str, list[str]] = {}  # topic -> nodes that publish there
+        sources = SourceWatch(self, of_cell(False, 1))
+        self.check = procedure_start.StartCheck(link, self.inputs, correction, sources)
         self.check.run_asked_for()
+
+    def resolve_topic_name(self, topic: str) -> str:
+        return f"/{topic}"
+
+    def count_publishers(self, topic: str) -> int:
+        return len(self.senders.get(topic, ["driver"]))
+
+    def get_publishers_info_by_topic(self, topic: str) -> list[Any]:
+        return [SimpleNamespace(node_namespace="/", node_name=name) for name in self.senders[topic]]
 
     @property
     def now(self) -> float:
@@ -121,3 +133,64 @@ def test_readings_that_queued_up_while_a_long_recording_was_opened_do_not_end_th
     asked.feed(asked.now)
     asked.check.robot_said(asked.state(asked.now))
     assert asked.look(3.6).begin
+
+
+# --- who sends ----------------------------------------------------------------------------------------------------------------
+
+
+def begun(asked: Asked) -> Asked:
+    asked.look(0.31)
+    asked.machine = 0.5
+    asked.feed(asked.now)
+    asked.check.robot_said(asked.state(asked.now))
+    return asked
+
+
+@pytest.mark.parametrize("topic", ["wrench", "joint_states", "tcp_pose", "robot/state", "wrench_raw", "tracker/point"])
+def test_no_run_begins_while_two_nodes_send_what_it_reads(asked: Asked, topic: str) -> None:
+    asked.senders[f"/{topic}"] = ["cell", "rqt"]
+    begun(asked)
+    now = asked.look(3.0)
+    assert not now.begin and not now.stop and f"2 publishers of /{topic} (/cell, /rqt), 1 alone" in now.waits
+    assert "end all but the one that measures" in asked.look(procedure_start.RIVAL_WAIT + 1.0).stop
+
+
+def test_a_run_begins_once_the_second_sender_is_forgotten(asked: Asked) -> None:
+    asked.senders["/wrench"] = ["killed", "driver"]
+    begun(asked)
+    assert asked.look(3.0).waits
+    del asked.senders["/wrench"]
+    assert asked.look(20.0).begin
+
+
+def test_what_two_senders_say_together_is_told_as_two_senders(asked: Asked) -> None:
+    asked.senders["/wrench"] = ["cell", "other"]
+    asked.look(0.31)
+    asked.machine = 0.5
+    asked.feed(asked.now, frame="base_link")
+    now = asked.look(1.6)
+    assert not now.stop
+    assert "2 publishers of /wrench" in asked.look(procedure_start.RIVAL_WAIT + 1.0).stop
+
+
+@pytest.mark.parametrize("topic", ["wrench", "joint_states", "tcp_pose"])
+def test_a_second_sender_of_what_leads_the_robot_ends_a_run_at_the_next_look(asked: Asked, topic: str) -> None:
+    assert not asked.check.disturbed
+    asked.senders[f"/{topic}"] = ["cell", "rqt"]
+    asked.machine += 0.5
+    assert not asked.check.disturbed, "the graph is asked once a second"
+    asked.machine += 0.6
+    assert f"2 publishers of /{topic} (/cell, /rqt)" in asked.check.disturbed
+
+
+@pytest.mark.parametrize("topic", ["tracker/point", "wrench_raw"])
+def test_a_driver_that_was_restarted_in_a_run_ends_it_only_where_the_old_one_does_not_disappear(asked: Asked, topic: str) -> None:
+    asked.senders[f"/{topic}"] = ["killed", "tracker"]
+    for asked.machine in (1.1, 10.0, PATIENCE):
+        assert not asked.check.disturbed
+    asked.machine = PATIENCE + 2.0
+    assert f"2 publishers of /{topic}" in asked.check.disturbed
+
+
+def test_each_tracker_station_may_have_a_driver_and_a_cell_without_tracker_none_that_counts() -> None:
+    assert of_cell(False, 2)["tracker/point"] == 2 and "tracker/point" not in of_cell(True, 2)
