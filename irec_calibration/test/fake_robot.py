@@ -66,6 +66,8 @@ class FakeRobot:
         self.delivers_force = True
         self.force_every, self._force_at = 0.0, 0.0  # s between two wrenches; 0: one each tick
         self.delivers_joints = True  # and tcp_pose
+        self.torque_lever = np.zeros(3)  # m, of the force, about which the torque is told; and torque that is always there, N m
+        self.torque_bias = np.zeros(3)
         self.force_share = np.ones(3)  # what the contact can hold of the wanted force
         self.extra_force = np.zeros(3)
         self.obeys_moves = self.obeys_modes = True
@@ -165,7 +167,7 @@ class FakeRobot:
         if self.delivers_force and self.now >= self._force_at:
             self._force_at = self.now + self.force_every
             noisy = self.force + self.extra_force + self.rng.normal(0, self.force_noise, 3)
-            self.streams.add_wrench(self.now, (*noisy, 0.0, 0.0, 0.0))
+            self.streams.add_wrench(self.now, (*noisy, *(np.cross(self.torque_lever, noisy) + self.torque_bias)))
         if self.sees_marker:
             self.streams.add_marker(self.now, *(self.marker + self.rng.normal(0, 1e-5, 3)), "A")
         if self.delivers_joints:

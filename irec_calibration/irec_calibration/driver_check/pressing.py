@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..procedure.checks import torque_limit, torque_problem
 from ..procedure.commands import LONGEST_LEASE
 from ..procedure.plausible import what_is_read
 from ..typing import Array
@@ -33,6 +34,7 @@ class Pressing:
         to_force, to_position: answers to the switches; state_late: s until robot/state said force control.
         lease: s as the driver says; retract: m, likewise.
         held: (set point (3,), mean force (3,)) once it should be settled, N.
+        torques: mean torque (3,) with each of them, N m. free: before contact, (3,), N m. pad_radius: m, 0: not known.
         jump: m, of tcp_pose at the switch to position control.
         move: answer to a move in force control.
         after: from the last set point on; R_tool: rotation of tool0 in base_link then; last_sent: s.
@@ -52,6 +54,9 @@ class Pressing:
     last_sent: float
     left: Observation
     left_at: float
+    torques: list[Array] = field(default_factory=list)
+    free: Array = field(default_factory=lambda: np.zeros(3))
+    pad_radius: float = 0.0
 
 
 def judge_pressing(p: Pressing) -> list[Item]:
@@ -113,6 +118,20 @@ def _forces(p: Pressing) -> Iterator[Item]:
             f"{OFF * size:.1f} N",
             advice,
         )
+
+
+    if p.pad_radius <= 0.0 or not p.torques:
+        return
+    pairs = [(torque - p.free, read) for torque, (_, read) in zip(p.torques, p.held, strict=True)]
+    torque, read = max(pairs, key=lambda pair: float(np.linalg.norm(pair[0])))
+    size, limit = float(np.linalg.norm(torque)), torque_limit(read, p.pad_radius)
+    yield _item(
+        "torque that the pad can carry",
+        size <= limit,
+        f"{size:.1f} N m",
+        f"{limit:.1f} N m",
+        torque_problem(torque, read, p.pad_radius),
+    )
 
 
 def _lease(p: Pressing) -> Iterator[Item]:

@@ -30,6 +30,7 @@ LINE = 0.08  # m
 SPEED = 0.05  # m/s
 PUSH = 200.0  # N, and ACROSS of it sideways: what every force sensor and surface bears
 ACROSS = 0.15
+FREE_READINGS = 50  # of the wrench before contact, averaged
 FARTHEST = 0.02  # m from where the tool was a few millimetres above the surface
 OFFSET = 1e-3  # m
 FAR = 0.1  # m
@@ -113,12 +114,13 @@ def pressing(client: DriverClient, settings: Settings) -> list[Item]:
     _, lease, retract = client.switch(SetControlMode.Request.POSITION, none)
     down = np.array([0.0, 0.0, -PUSH])
     p0, R0 = client.tcp()
+    free = client.newest("wrench", FREE_READINGS)[:, 3:].mean(axis=0)
     client.pressing = down
     to_force, lease, retract = client.switch(SetControlMode.Request.FORCE, down)
     begin = client.now
     client.wait(lambda: client.last("robot/state")[0] == 1.0 or client.now - begin > 2.0, "robot/state")
     state_late = client.now - begin
-    held = []
+    held, torques = [], []
     way = in_contact(0.0)
     if way > FARTHEST:
         client.pressing = None
@@ -132,6 +134,7 @@ def pressing(client: DriverClient, settings: Settings) -> list[Item]:
         client.pause(3.0)
         read = client.seen(*client.pause(STAND)).mean("wrench")
         held.append((force, none if read is None else read[:3]))
+        torques.append(none if read is None else read[3:])
         if float(held[-1][1][2]) > 0.1 * PUSH:  # the sign is wrong: nothing more of this
             break
     refused = client.move_line(p0, R0, SPEED)
@@ -157,7 +160,10 @@ def pressing(client: DriverClient, settings: Settings) -> list[Item]:
     client.pause(LEAVE + 3.0)
     left = client.seen(left_at, client.now)
     client.move_line(p0, R0, SPEED)
-    seen = Pressing(to_force, to_position, state_late, lease, retract, held, jump, refused, after, R0, last, left, left_at)
+    seen = Pressing(
+        to_force, to_position, state_late, lease, retract, held, jump, refused, after, R0, last, left, left_at,
+        torques, free, settings.pad_radius,
+    )  # fmt: skip
     return judge_pressing(seen)
 
 

@@ -19,6 +19,8 @@ from .settings import Settings
 from .standstill import Window
 
 SLIP_MARGIN = 1.02  # for the tolerance of the force controller
+TCP_OFF = 0.005  # m by which the contact may be off the TCP along the tool
+TORQUE_MARGIN, TORQUE_SHARE = 3.0, 0.005  # N m of a sensor's own errors, and N m per N of the force at most
 LARGEST_NUMBER = 2**31 - 1  # of a pose, in a message
 
 
@@ -105,7 +107,7 @@ def contact_problem(window: Window, reference: Window, R_tool_in_station: Array,
         reference: the reference window of the pose.
         R_tool_in_station: rotation of tool0 into the frame of the station, (3, 3).
     """
-    if problem := _force_problem(window, settings):
+    if problem := _force_problem(window, reference, settings):
         return problem
     if window.station != reference.station:
         return f"tracker station changed from {reference.station} to {window.station}"
@@ -118,12 +120,15 @@ def contact_problem(window: Window, reference: Window, R_tool_in_station: Array,
     return ""
 
 
-def contact_problem_by_encoders(window: Window, p_contact: Array, R_tool_in_base: Array, settings: Settings) -> str:
+def contact_problem_by_encoders(
+    window: Window, reference: Window, p_contact: Array, R_tool_in_base: Array, settings: Settings
+) -> str:
     """The same without a tracker; p_contact: TCP by the controller when contact was made, (3,), m in base_link."""
-    return _force_problem(window, settings) or slip_problem(window, p_contact, R_tool_in_base, settings.settling.slip_m)
+    problem = _force_problem(window, reference, settings)
+    return problem or slip_problem(window, p_contact, R_tool_in_base, settings.settling.slip_m)
 
 
-def _force_problem(window: Window, settings: Settings) -> str:
+def _force_problem(window: Window, reference: Window, settings: Settings) -> str:
     force = window.force_in_tool.mean(axis=0)
     lateral, normal = float(np.hypot(force[0], force[1])), float(-force[2])
     if normal <= 0.0:
@@ -133,7 +138,39 @@ def _force_problem(window: Window, settings: Settings) -> str:
             f"the contact may slip: {lateral:.0f} N across at {normal:.0f} N normal,"
             f" ratio {lateral / normal:.3f}, limit {settings.friction:.3f}"
         )
-    return ""
+    torque = window.torque_in_tool.mean(axis=0) - reference.torque_in_tool.mean(axis=0)  # less what the tool's weight leaves
+    return torque_problem(torque, force, settings.pad_radius)
+
+
+def torque_limit(force: Array, pad_radius: float) -> float:
+    """Largest torque about the TCP, N m, that a pad can carry. force: (3,), N, in tool0. pad_radius: m."""
+    total = float(np.linalg.norm(force))
+    return pad_radius * abs(float(force[2])) + TCP_OFF * total + min(TORQUE_MARGIN, TORQUE_SHARE * total)
+
+
+def torque_problem(torque: Array, force: Array, pad_radius: float) -> str:
+    """Why a pad can't carry this torque about the TCP; empty if it can, or its radius is not known (0).
+
+    All of the normal force at the rim is the most: a pad that touches as it should carries far less.
+
+    Args:
+        torque: (3,), N m. force: (3,), N, both of the contact on the robot in tool0. pad_radius: m.
+    """
+    size, total = float(np.linalg.norm(torque)), float(np.linalg.norm(force))
+    limit = torque_limit(force, pad_radius)
+    if pad_radius <= 0.0 or size <= limit:
+        return ""
+    return (
+        f"the wrench has a torque of {size:.1f} N m in contact, limit {limit:.1f} N m: a pad of {1e3 * pad_radius:g} mm radius"
+        f" (tool.pad_radius) can't carry more at {abs(float(force[2])):.0f} N along the tool. The lever arm is at least"
+        f" {1e3 * size / max(total, 1e-9):.0f} mm of the force, {_across(size, force)} mm of its part across the tool: is the"
+        " torque taken about the sensor in place of the TCP, or in another unit?"
+    )
+
+
+def _across(size: float, force: Array) -> str:
+    across = float(np.hypot(force[0], force[1]))
+    return f"{1e3 * size / across:.0f}" if across > 0.0 else "no"
 
 
 def lease_problem(lease: float, operator_at_robot: bool) -> str:

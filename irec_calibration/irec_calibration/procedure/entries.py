@@ -201,7 +201,7 @@ def _contact_problem(p: Procedure, window: Window, reference: Window) -> str:
     if p.settings.without_tracker:
         if p.p_contact is None:
             raise RuntimeError("record was entered without a contact")
-        return contact_problem_by_encoders(window, p.p_contact, R_tool, p.settings)
+        return contact_problem_by_encoders(window, reference, p.p_contact, R_tool, p.settings)
     station = p.station_rotation.get(reference.station)
     if station is None:
         return f"the tracker reports as '{reference.station}', which the cell file does not name"

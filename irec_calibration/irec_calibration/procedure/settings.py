@@ -87,6 +87,7 @@ class Settings:
         reference_distance: m from the reference to contact.
         operator_at_robot: somebody stands at the emergency stop, so that a driver without dead man's switch may press.
         without_tracker: no tracker measures; joint_states, tcp_pose and force say whether the robot stands.
+        pad_radius: of the contact pad, m; 0: not known.
         checks: limits of what is believed.
     """
 
@@ -105,6 +106,7 @@ class Settings:
     reference_distance: float = 0.003
     operator_at_robot: bool = False
     without_tracker: bool = False
+    pad_radius: float = 0.0
     checks: Checks = Checks()
 
     @property
@@ -176,6 +178,7 @@ def read_settings(cell: Cell) -> Settings:
         reference_distance=cell.reference_distance,
         operator_at_robot=_flag(cell, s, "operator_at_robot"),
         without_tracker=_flag(cell, s, "without_tracker"),
+        pad_radius=cell.pad_radius,
         checks=_checks(s),
     )
     check_loads(cell, settings)

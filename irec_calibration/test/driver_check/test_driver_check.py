@@ -272,7 +272,10 @@ def left_alone(leave: float = 2.0) -> Observation:
 def pressing() -> Pressing:
     held = [(f, f + 1.0) for f in np.array([[0, 0, -200.0], [30.0, 0, -200.0], [0, -30.0, -200.0]])]
     ok, no = Answer(True, "", 0.1), Answer(False, "moves are refused in force control", 0.1)
-    return Pressing(ok, ok, 0.05, 0.5, 0.02, held, 1e-6, no, after_lease(), np.eye(3), 50.0, left_alone(), 60.0)
+    torques, free = [np.array([0.7, -1.5, 0.2]) + t for t in ([0, 0, 0], [0, 0.4, 0], [0.4, 0, 0])], np.array([0.7, -1.5, 0.2])
+    return Pressing(
+        ok, ok, 0.05, 0.5, 0.02, held, 1e-6, no, after_lease(), np.eye(3), 50.0, left_alone(), 60.0, torques, free, 0.03
+    )  # fmt: skip
 
 
 def test_a_true_driver_passes_the_pressing() -> None:
@@ -300,8 +303,15 @@ PRESSING: dict[str, tuple[Callable[[Pressing], Pressing], str]] = {
         "the force goes when no move comes after force control: inf s"),
     "leaves before a move can come": (lambda p: replace(p, left=left_alone(0.1)),
         "the force goes when no move comes after force control: 0.10 s"),
+    "torque about the sensor": (lambda p: replace(p, torques=[p.free + np.cross([0, 0, 0.3], force) for force, _ in p.held]),
+        "is the torque taken about the sensor in place of the TCP"),
     "stays in contact": (lambda p: replace(p, retract=0.2), "the tool is drawn back: 20.0 mm"),
 }  # fmt: skip
+
+
+def test_where_the_cell_file_states_no_pad_no_torque_is_too_much() -> None:
+    items = judge_pressing(replace(pressing(), torques=[np.full(3, 50.0)] * 3, pad_radius=0.0))
+    assert not failures(items) and not any("torque" in i.name for i in items)
 
 
 @pytest.mark.parametrize("wrong", PRESSING)

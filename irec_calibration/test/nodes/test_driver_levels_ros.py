@@ -51,6 +51,9 @@ class NoSurface:
     def last(self, topic: str) -> np.ndarray:
         return {"robot/state": np.array([float(self.mode)]), "wrench": np.zeros(6)}[topic]
 
+    def newest(self, topic: str, n: int) -> np.ndarray:
+        return np.tile(self.last(topic), (n, 1))
+
     def tcp(self) -> tuple[np.ndarray, np.ndarray]:
         return np.array([1.0, 0.0, 0.5 + self.way]), np.eye(3)
 

@@ -120,6 +120,35 @@ def test_a_force_beyond_the_abort_limit_is_seen_whoever_sends_the_newest_reading
     assert "force is 1700 N, limit 1600 N" in robot.procedure.stopped_because
 
 
+# --- the torque that a pad can carry -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("without_tracker", [False, True])
+def test_a_torque_about_the_sensor_gives_no_row_with_a_force_across_the_tool_and_ends_the_run(without_tracker: bool) -> None:
+    robot = FakeRobot(3, settings={"pad_radius": 0.03, "without_tracker": without_tracker})
+    robot.yields = np.full(3, -1e-7)
+    robot.torque_lever = np.array([0.0, 0.0, 0.3])
+    robot.start().run()
+    assert [r.load_case for r in robot.rows] == [0, 1] and robot.is_safe
+    told = robot.procedure.stopped_because
+    assert "2 of 3 load cases were rejected" in told and "taken about the sensor in place of the TCP" in told
+    assert "300 mm of its part across the tool" in told and "a pad of 30 mm radius (tool.pad_radius)" in told
+
+
+def test_a_torque_that_the_weight_of_the_tool_leaves_before_contact_is_none_of_the_contact() -> None:
+    robot = FakeRobot(1, settings={"pad_radius": 0.03})
+    robot.torque_bias = np.array([60.0, -30.0, 5.0])
+    robot.torque_lever = np.array([0.01, 0.005, 0.0])  # where the pad presses
+    robot.start().run()
+    assert robot.procedure.counts.complete == 1
+
+
+def test_without_a_radius_of_the_pad_no_torque_is_judged() -> None:
+    robot = FakeRobot(1)
+    robot.torque_lever = np.array([0.0, 0.0, 0.3])
+    assert robot.start().run().procedure.counts.complete == 1
+
+
 # --- the marker in contact ----------------------------------------------------------------------------------------------------
 
 
