@@ -47,7 +47,7 @@ class Station:
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell as its file states it.
+    """A cell as its file states it; `text` is what the file held when it was read.
 
     hull: spheres that contain tool and wrist, (s, 4): centre in tool0 and radius, m.
     forces_in_tool: (5, 3), N, environment on robot, in the order of LOAD_CASE_NAMES (paper, 4.1).
@@ -79,6 +79,7 @@ class Cell:
     tolerance: float
     poses_path: Path
     raw: dict[str, Any]
+    text: str = ""
 
     @property
     def tool_name(self) -> str:
@@ -181,7 +182,7 @@ def read_cell(path: str | Path) -> Cell:
     """
     document, robot, surface = open_cell(path)
     document.finish(CellError)
-    return _build(Path(path), document.data, robot, surface)  # type: ignore[arg-type]
+    return _build(Path(path), document, robot, surface)  # type: ignore[arg-type]
 
 
 def open_cell(path: str | Path) -> tuple[Document, Robot | None, Surface | None]:
@@ -209,7 +210,8 @@ def open_cell(path: str | Path) -> tuple[Document, Robot | None, Surface | None]
     return document, robot, surface
 
 
-def _build(path: Path, raw: dict[str, Any], robot: Robot, surface: Surface) -> Cell:
+def _build(path: Path, document: Document, robot: Robot, surface: Surface) -> Cell:
+    raw: dict[str, Any] = document.data
     top = Section(path, "", raw)
     robot_, tool, limits, loads = (top.section(k) for k in ("robot", "tool", "limits", "load_cases"))
     payload = tool.section("payload")
@@ -243,6 +245,7 @@ def _build(path: Path, raw: dict[str, Any], robot: Robot, surface: Surface) -> C
         tolerance=top.number("tolerance_m", 0.0),
         poses_path=path.parent / str(top.get("poses")),
         raw=raw,
+        text=document.text,
     )
 
 

@@ -40,12 +40,14 @@ class Document:
         data: its content; keys that are whole numbers are int, all others str.
         lines: line of each value by its path of keys (text) and indices.
         problems: what has been found wrong so far.
+        text: of which all this was made; empty where it was no text.
     """
 
     path: str
     data: Any
     lines: dict[Path_, int] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
+    text: str = ""
     _broken: set[Path_] = field(default_factory=set)
 
     def wrong(self, key: Path_, text: str) -> None:
@@ -144,7 +146,9 @@ def check_text(
     except YamlProblem as problem:
         place = f"{name}:{problem.line}" if problem.line else name
         raise error(one_line(f"{place}: {problem.text}")) from None
-    return check_data(data, name, format_, what, error, rules=rules, lines=lines)
+    document = check_data(data, name, format_, what, error, rules=rules, lines=lines)
+    document.text = text
+    return document
 
 
 def check_data(

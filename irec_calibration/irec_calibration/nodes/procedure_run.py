@@ -24,7 +24,7 @@ from ..procedure.commands import Event, Row
 from ..procedure.loads import loaded_as_asked
 from ..procedure.machine import Procedure
 from ..procedure.plausible import Plausibility
-from ..procedure.recorder import SessionRecorder
+from ..procedure.recorder import SessionRecorder, refuse_changed
 from ..procedure.settings import MOST_REPEATS, Settings
 from .instruments import Instruments
 from .robot_link import RobotLink
@@ -44,6 +44,7 @@ class ProcedureRun:
     ) -> None:  # fmt: skip
         if request.repeats > MOST_REPEATS:
             raise PlanError(f"repeats is {request.repeats}; 1 to {MOST_REPEATS} are possible, 0 for that of the cell file")
+        refuse_changed(cell)
         self._instruments, self._link = instruments, link
         poses_path = request.poses_path or str(cell.poses_path)
         listed = read_poses(poses_path, cell.serial, cell.robot.sha256)

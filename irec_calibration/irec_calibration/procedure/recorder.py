@@ -14,7 +14,8 @@ import numpy as np
 
 from .. import __version__
 from ..cell import LOAD_CASE_NAMES, Cell, Section
-from ..errors import SessionError
+from ..errors import CellError, SessionError
+from ..files.regular import URDF_LIMIT, read_text
 from ..files.yaml_text import YamlProblem, parse_yaml
 from ..recording import BagReader, BagWriter, TypeCatalogue
 from ..recording.held_file import lock
@@ -53,6 +54,25 @@ def session_header(cell: Cell, name: str, order_seed: int | None = None) -> dict
     if cell.rail is not None:
         header["ext_axes"] = {"rail": {"kind": "prismatic", "axis": [float(v) for v in cell.rail.axis]}}
     return header
+
+
+def refuse_changed(cell: Cell) -> None:
+    """A run goes by what was read when the node was started; what is written there now would not be what it does.
+
+    Raises:
+        CellError: cell file or robot description are not what they were then.
+    """
+    for path, text, what in (
+        (cell.path, cell.text, "the cell file"), (Path(cell.robot.source), cell.robot.urdf_text, "the robot description")
+    ):  # fmt: skip
+        now = read_text(path, what, CellError, URDF_LIMIT)
+        if now != text:
+            lines = zip(now.splitlines(), text.splitlines(), strict=False)
+            place = next((k for k, (new, old) in enumerate(lines, 1) if new != old), 1 + min(now.count("\n"), text.count("\n")))
+            raise CellError(
+                f"{path}:{place}: {what} was changed after this node had read it, and a run would go by what it held then;"
+                " start the node anew, or put the old file back"
+            )
 
 
 class SessionRecorder:
@@ -106,7 +126,7 @@ class SessionRecorder:
         self.bag = BagWriter(target, catalogue)
         versions = {"irec": __version__, "python": platform.python_version(), "numpy": np.__version__, "ros": "jazzy"}
         files = {
-            "cell.yaml": cell.path.read_text(encoding="utf-8"),
+            "cell.yaml": cell.text,
             "parameters.json": json.dumps(parameters, indent=1, sort_keys=True, default=str),
             "versions.json": json.dumps(versions, indent=1),
         }

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from irec_calibration.cell import read_cell
-from irec_calibration.errors import RecordingError, SessionError
-from irec_calibration.procedure.recorder import SessionRecorder, _seed_of
+from irec_calibration.cell import Cell, read_cell
+from irec_calibration.errors import CellError, RecordingError, SessionError
+from irec_calibration.procedure.recorder import SessionRecorder, _seed_of, refuse_changed
+from irec_calibration.recording import BagReader
 from irec_calibration.session import read_session, record_message
 
 CELL = read_cell(Path(__file__).parents[3] / "config" / "cells" / "afp.yaml")
@@ -53,6 +54,38 @@ def test_a_recording_is_a_session_of_its_cell(tmp_path: Path) -> None:
     assert session.ext_axes[0].name == "rail" and session.ext["rail"][0] == 0.1
     assert session.noise.tracker_m == CELL.noise["tracker_m"]
     assert session.markers[0].xyz == tuple(CELL.marker_in_tool)
+
+
+def copied(folder: Path) -> Cell:
+    """The cell from files of its own."""
+    text = CELL.path.read_text().replace("../robots/", "")
+    (folder / "mine.yaml").write_text(text)
+    (folder / Path(CELL.robot.source).name).write_text(CELL.robot.urdf_text)
+    return read_cell(folder / "mine.yaml")
+
+
+def test_the_recording_has_the_cell_file_that_was_read_and_not_what_is_there_now(tmp_path: Path) -> None:
+    cell = copied(tmp_path)
+    then = cell.path.read_text()
+    cell.path.write_text(then.replace("force_abort_n: 1600.0", "force_abort_n: 1200.0"))
+    SessionRecorder(tmp_path / "s.mcap", cell, {}, CATALOGUE).close()
+    reader = BagReader(tmp_path / "s.mcap")
+    assert list(reader.messages()) == [] and reader.attachments["cell.yaml"].decode() == then
+
+
+def test_no_run_begins_with_a_cell_file_or_a_robot_description_that_is_another_now(tmp_path: Path) -> None:
+    cell = copied(tmp_path)
+    refuse_changed(cell)
+    for path in (cell.path, Path(cell.robot.source)):
+        then = path.read_text()
+        path.write_text(then.replace("\n", "\n# lower\n", 1))
+        with pytest.raises(CellError, match=rf"{path.name}:2: the .* was changed after this node had read it.*start the node"):
+            refuse_changed(cell)
+        path.write_text(then)
+    refuse_changed(cell)
+    cell.path.unlink()
+    with pytest.raises(CellError, match="mine.yaml"):
+        refuse_changed(cell)
 
 
 def test_a_resumed_run_knows_what_is_complete_and_keeps_it(tmp_path: Path) -> None:
