@@ -52,6 +52,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
+WRITTEN = ("output", "picture")  # arguments that name a file to be written; all others may name one that is read
+
+
 def command_module(name: str) -> ModuleType:
     """Module of a subcommand. Raises IrecError: it is of a package that is not installed."""
     whole = name if "." in name else f"irec_calibration.commands.{name}"
@@ -62,6 +65,18 @@ def command_module(name: str) -> ModuleType:
         if error.name != package:
             raise
         raise IrecError(f"it is part of {package}, which is not installed: pip install ./{package}") from error
+
+
+def _keep_inputs(args: argparse.Namespace) -> None:
+    """Refuse to begin what would overwrite a file that it reads. Raises IrecError."""
+    from .files.outputs import check_no_input
+
+    written = [getattr(args, name, None) for name in WRITTEN]
+    values = [value for name, value in vars(args).items() if name not in WRITTEN]
+    given = [v for value in values for v in (value if isinstance(value, list) else [value])]
+    for path in written:
+        if path:
+            check_no_input(path, given)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -107,6 +122,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             from .effects.user import register_file  # only who names a file pays for it
 
             register_file(path)
+        _keep_inputs(args)
         code = int(args.run(args) or 0)
         follow = "" if getattr(args, "json", False) else what_follows(args.command, vars(args))
         if follow:

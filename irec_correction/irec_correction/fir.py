@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from irec_calibration.files import check_replaceable
+from irec_calibration.files.outputs import TAPS
 from irec_calibration.files.regular import TABLE_LIMIT, read_text
 from irec_calibration.sensors.look_ahead import LONGEST
 from irec_calibration.typing import Array
@@ -117,6 +119,7 @@ def write_taps(path: str | Path, table: TapTable) -> None:
     rows = [",".join([*table.joints, *(*_AXES, *_CROSSED)[: numbers.shape[2]]])]
     for posture, taps in zip(table.postures, numbers, strict=True):
         rows += [",".join(f"{x:.10g}" for x in (*posture, *tap)) for tap in taps]
+    check_replaceable(path, "a table of a filter", TAPS, SettingsError)
     Path(path).write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 

@@ -16,7 +16,7 @@ from ..errors import IrecError
 from ..identification.validation import ESTIMATOR, gain
 from ..lengths import length
 from ..model import Model
-from ..model.file import check_belongs, load_model, save_model
+from ..model.file import check_belongs, check_model_target, load_model, save_model
 from ..report.addition import Addition, addition_of, probability
 from ..report.next_steps import Step, in_lines
 from ..session import Session
@@ -58,6 +58,7 @@ def run_refit(
         steps: what to do next.
     """
     check_free(args.output, args.force)
+    check_model_target(args.output)
     model, session = load_model(args.model), plausible_session(args)
     check_belongs(model, session.robot, session.serial)
     new, before, after = refit(model, session)

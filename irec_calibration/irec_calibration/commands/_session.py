@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import IrecError
+from ..errors import IrecError, SessionError
 from ..identification.identify import with_disc
 from ..model import Model
 from ..model.file import check_belongs, load_model
@@ -81,6 +81,13 @@ def tell_written(session: Session, output: Path, as_json: bool) -> int:
             print(f"note: {note}")
         print(f"{len(session.poses)} poses, {len(session)} rows; wrote {output}")
     return 0
+
+
+def check_no_session(folder: Path) -> None:
+    """Refuse to write a table where one is already, or where one of its files is. SessionError names it."""
+    for name in ("session.yaml", "samples.csv", "robot.urdf"):
+        if (folder / name).exists():
+            raise SessionError(f"{folder / name}: exists, and a session is never overwritten; name another folder with -o")
 
 
 def plausible_session(args: argparse.Namespace) -> Session:

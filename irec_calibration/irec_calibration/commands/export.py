@@ -10,7 +10,7 @@ from pathlib import Path
 from ..errors import SessionError
 from ..session import read_session, write_table
 from ..session.align import align_bag, in_words
-from ._session import tell_written
+from ._session import check_no_session, tell_written
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -31,5 +31,6 @@ def run(args: argparse.Namespace) -> int:
     output = Path(args.output)
     if output.resolve() == Path(args.session).resolve():
         raise SessionError(f"{output}: is the session itself; name another folder")
+    check_no_session(output)
     folder = write_table(session, output)
     return tell_written(session, folder, args.json)

@@ -12,6 +12,8 @@ import numpy as np
 from scipy import signal
 
 from ..errors import RecordingError
+from ..files import check_replaceable
+from ..files.outputs import TAPS
 from ..sensors.latency import find_latency
 from ..sensors.look_ahead import Design, design, spectrum
 from ..sensors.motion_recording import ForceAndMotion, read_force_and_motion
@@ -52,6 +54,7 @@ def run(args: argparse.Namespace) -> int:
                    acceleration=args.acceleration / 3.0)  # fmt: skip
     taps = found.taps / found.taps.sum()
     rows = ["force_x,force_y,force_z", *(",".join([f"{x:.10g}"] * 3) for x in taps)]
+    check_replaceable(args.output, "a table of a filter", TAPS, RecordingError)
     args.output.write_text("\n".join(rows) + "\n", encoding="utf-8")
     _tell(args, found, noise, len(force) / RATE)
     return 0

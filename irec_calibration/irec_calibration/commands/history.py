@@ -10,6 +10,8 @@ from pathlib import Path
 
 from ..cell import read_cell
 from ..errors import IrecError
+from ..files import check_replaceable
+from ..files.outputs import PICTURES
 from ..model.file import load_model
 from ..recertification.store import Store, calibration_folder
 from ..recertification.trend import trend
@@ -38,6 +40,7 @@ def _of_cell(args: argparse.Namespace) -> int:
     if args.output and points:
         from ..report.certificate import trend_png  # draws: only when it is asked for
 
+        check_replaceable(args.output, "a picture", PICTURES)
         Path(args.output).write_bytes(trend_png(points))
     if args.json:
         print(json.dumps({"events": [asdict(e) for e in entries], "trend": [asdict(p) for p in points]}))

@@ -13,7 +13,7 @@ from ..session import Session, read_session, write_table
 from ..session.align import align_bag, in_words
 from ..session.foreign import import_table
 from ..session.mcap_io import write_mcap
-from ._session import tell_written
+from ._session import check_no_session, tell_written
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -27,6 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     output = Path(args.output)
+    check_no_session(output)
     if args.profile:
         return tell_written(import_table(args.profile, args.session, output, args.name), output, args.json)
     if args.map:

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from ..diagnose import Ladder, improve, write_json
 from ..diagnose.tables import write_tables
+from ..files import check_no_input
 from ..identification.validation import ESTIMATOR
-from ..model.file import save_model
+from ..model.file import check_model_target, save_model
 from ..report import course
 from ..report.course import course_section, drive
 from ..report.ladder import write_ladder_report
@@ -35,6 +36,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    target = check_model_target(Path(args.output) / "model.yaml")
+    check_no_input(target, (args.model,))
     session = as_read(args, plausible_session(args))
     model = starting_model(args, session)
     ladder = improve(session, model, progress=Progress())

@@ -84,6 +84,9 @@ def run(args: argparse.Namespace) -> int:
     effort = tuple(args.effort) if args.effort else None
     made = with_frames(text, str(args.urdf), args.base_frame, args.tool_frame, *moved, effort)  # type: ignore[arg-type]
     robot = Robot(made, str(args.urdf))
+    urdf = folder / f"{args.name}.urdf"
+    if urdf.exists() and urdf.read_bytes() != made.encode():
+        raise CellError(f"{urdf} exists and is another robot description; choose another --name or folder, or remove it")
     xyz, quat = tuple(args.surface_xyz), quaternion(tuple(args.surface_rpy))  # type: ignore[arg-type]
     R, p = Rotation.from_quat(quat).as_matrix(), np.array(xyz)
     stations = tuple(_station(words) for words in args.station)
@@ -110,7 +113,6 @@ def run(args: argparse.Namespace) -> int:
             shutil.copyfile(source, target)
         section, shape, said = mesh_section(target, target.name, R, p, seen_from, args.scale)
         notes += said
-    urdf = folder / f"{args.name}.urdf"
     urdf.write_text(made, encoding="utf-8")
     facts = Facts(
         args.name, args.serial, urdf.name, robot, section, xyz, quat, shape, stations, tuple(args.marker),  # type: ignore[arg-type]

@@ -7,6 +7,9 @@ import argparse
 import json
 from pathlib import Path
 
+from ..errors import RecordingError
+from ..files import check_replaceable
+from ..files.outputs import beginning
 from ..sensors.dry_drive import LINK, DryDriveTable, read_dry_drive
 
 
@@ -41,4 +44,5 @@ def write_table(path: Path, table: DryDriveTable) -> None:
     """The table that `links.file` names: a column for each joint [rad], and `link_` before its name, link-side [rad]."""
     rows = [",".join([*table.names, *(LINK + n for n in table.names)])]
     rows += [",".join(f"{x:.9g}" for x in (*q, *link)) for q, link in zip(table.q, table.link, strict=True)]
+    check_replaceable(path, "a table of these joints", (beginning(rows[0]),), RecordingError)
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")

@@ -17,7 +17,7 @@ from ..errors import IrecError
 from ..poses.plan import TURN, TURN_FROM, Plan, make_plan, pose_list, turn_for
 from ..poses.pool import Pool
 from ..poses.select import METHODS
-from ..poses.store import write_poses
+from ..poses.store import check_poses_target, write_poses
 from ..report.pose_picture import save_picture
 from ..session import read_session
 from ..session.plausible import check_plausible
@@ -51,8 +51,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     cell = read_cell(args.cell)
+    target = check_poses_target(args.output or _poses_path(args, cell))
     plan, told = _plan(args, cell)
-    path = write_poses(pose_list(cell, plan), args.output or _poses_path(args, cell))
+    path = write_poses(pose_list(cell, plan), target)
     picture: Path | None = None
     missing = ""
     try:

@@ -6,11 +6,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from pathlib import Path
 
 import numpy as np
 
 from ..effects.of_session import scene_of
+from ..files import check_replaceable
+from ..files.outputs import beginning
 from ..model.file import check_belongs, load_model
 from ..session import read_session
 from ._expected_error import expected_in_words
@@ -24,16 +25,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    head = "pose,load_case,repeat,deflection_x,deflection_y,deflection_z"
+    path = check_replaceable(args.output, "a table of predictions", (beginning(head),))
     model = load_model(args.model)
     session = read_session(args.session)
     check_belongs(model, session.robot, session.serial)
     deflection = model.predict(scene_of(session, observe="tcp"))
     rows = np.flatnonzero(session.load_case != 0) if session.kind == "loaded" else np.arange(len(session))
-    lines = ["pose,load_case,repeat,deflection_x,deflection_y,deflection_z"]
+    lines = [head]
     for i in rows:
         key = f"{session.pose[i]},{session.load_case[i]},{session.repeat[i]}"
         lines.append(key + "".join(f",{v:.9e}" for v in deflection[i]))
-    path = Path(args.output)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -10,7 +10,7 @@ import textwrap
 from ..diagnose import solved
 from ..identification.identify import default_terms, with_disc
 from ..model import EIGHTEEN_DOF, SIX_DOF, Model, blank_model
-from ..model.file import save_model
+from ..model.file import check_model_target, save_model
 from ._expected_error import expected_in_words
 from ._session import as_read, configure_plausible, configure_without_tracker, plausible_session
 
@@ -29,6 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    check_model_target(args.output)
     session = as_read(args, plausible_session(args))
     if args.terms or args.dof:
         effects = args.terms.split(",") if args.terms else (SIX_DOF if args.dof == 6 else EIGHTEEN_DOF)

@@ -15,6 +15,8 @@ import pinocchio as pin
 import yaml
 
 from ..errors import RecordingError, RobotError
+from ..files import check_replaceable
+from ..files.outputs import beginning
 from ..recording import BagReader
 from ..robot import Robot, parent_joint
 from ..sensors.tool_load import Standing, ToolLoad, ToolLoadFit, identify_tool_load, standing
@@ -43,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
     R = _R_sensor(robot, args.frame, found)
     fit = identify_tool_load(found.readings, R, alignment=args.alignment)
     if args.output:
+        check_replaceable(args.output, "a parameter file of a tool load", (beginning("# Identified by irec tool-load"),))
         args.output.write_text(parameter_file(fit.load, fit.se), encoding="utf-8")
     print(json.dumps(_as_dict(fit), indent=2) if args.json else describe(fit))
     if args.output and not args.json:

@@ -3,7 +3,11 @@
 
 from ..errors import one_line
 from .document import Document, Problem, fail, open_document, read_document
+from .outputs import check_no_input, check_replaceable
 from .regular import read_bytes, read_text
 from .yaml_text import parse_yaml
 
-__all__ = ["Document", "Problem", "fail", "one_line", "open_document", "parse_yaml", "read_bytes", "read_document", "read_text"]
+__all__ = [
+    "Document", "Problem", "check_no_input", "check_replaceable", "fail", "one_line", "open_document", "parse_yaml", "read_bytes",
+    "read_document", "read_text",
+]  # fmt: skip

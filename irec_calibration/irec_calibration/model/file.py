@@ -16,7 +16,8 @@ import yaml
 from ..effects import find_effect
 from ..effects.formula import FormulaEffect
 from ..errors import EffectError, IrecError, ModelError
-from ..files import Document, open_document, read_bytes, read_document
+from ..files import Document, check_replaceable, open_document, read_bytes, read_document
+from ..files.outputs import of_format
 from ..robot import Robot
 from .model import Combination, Envelope, Model
 from .term import Estimate, Term
@@ -25,8 +26,12 @@ FORMAT = "irec-model/1"
 
 
 def save_model(model: Model, path: str | Path) -> Path:
-    """Write a model; an existing file is replaced in one step. ModelError where it can't be written; nothing is left then."""
-    path = Path(path)
+    """Write a model; an existing one is replaced in one step.
+
+    Raises:
+        ModelError: it can't be written, and nothing is left then; or what is there is no model, and stays.
+    """
+    path = check_model_target(path)
     data: dict[str, Any] = {
         "format": FORMAT,
         "robot": {"serial": model.serial, "urdf": model.urdf, "urdf_sha256": model.urdf_sha256, "tool": model.tool},
@@ -55,6 +60,11 @@ def save_model(model: Model, path: str | Path) -> Path:
             part.unlink(missing_ok=True)
         raise ModelError(f"{path}: the model can't be written: {error.strerror or error}") from error
     return path
+
+
+def check_model_target(path: str | Path) -> Path:
+    """The path of a model that may be written. ModelError: what is there is something else."""
+    return check_replaceable(path, "a model", (of_format(FORMAT),), ModelError)
 
 
 def _entry(e: Estimate) -> dict[str, Any]:

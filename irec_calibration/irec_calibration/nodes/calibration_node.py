@@ -22,7 +22,7 @@ from ..cell import read_cell
 from ..diagnose import solved
 from ..errors import CellError, IrecError, SessionError
 from ..model import EIGHTEEN_DOF, Model, blank_model
-from ..model.file import save_model
+from ..model.file import check_model_target, save_model
 from ..model.plausibility import LARGEST_OFFSET
 from ..recertification.quick_plan import MOST_LATERAL
 from ..recertification.store import calibration_folder
@@ -76,9 +76,9 @@ class CalibrationNode(GuardedNode):
             path = request.session_path or self._last_session
             if not path:
                 raise SessionError("no session has been recorded since the node started; give session_path")
+            target = check_model_target(request.model_path or Path(path).with_suffix(".model.yaml"))
             session = read_session(path)
             model, _ = solved(session, blank_model(list(request.effects) or list(EIGHTEEN_DOF)))
-            target = Path(request.model_path) if request.model_path else Path(path).with_suffix(".model.yaml")
             save_model(model, target)
         except IrecError as error:
             response.success, response.message = False, str(error)

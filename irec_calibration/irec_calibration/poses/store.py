@@ -19,6 +19,8 @@ poses:                                            SI units, in the order in whic
 
 from __future__ import annotations
 
+import contextlib
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,7 +29,8 @@ import numpy as np
 import yaml
 
 from ..errors import PlanError
-from ..files import Document, read_document
+from ..files import Document, check_replaceable, read_document
+from ..files.outputs import of_format
 from ..typing import Array
 
 FORMAT = "irec-poses/1"
@@ -66,8 +69,8 @@ class PoseList:
 
 
 def write_poses(poses: PoseList, path: str | Path) -> Path:
-    """Write a pose file; returns its path."""
-    path = Path(path)
+    """Write a pose file; returns its path. PlanError: what is there is no pose file, and stays; or it can't be written."""
+    path = check_poses_target(path)
     content = {
         "format": FORMAT,
         "cell": poses.cell,
@@ -88,9 +91,21 @@ def write_poses(poses: PoseList, path: str | Path) -> Path:
             for pose in poses.poses
         ],
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise PlanError(f"{path}: the poses can't be written: {error.strerror or error}") from error
     return path
+
+
+def check_poses_target(path: str | Path) -> Path:
+    """The path of a pose file that may be written. PlanError: what is there is something else."""
+    return check_replaceable(path, "a pose file", (of_format(FORMAT),), PlanError)
 
 
 def read_poses(path: str | Path, serial: str | None = None, urdf_sha256: str | None = None) -> PoseList:

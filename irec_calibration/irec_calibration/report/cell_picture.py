@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from ..cell import Cell
+from ..files import check_replaceable
+from ..files.outputs import PICTURES
 from ..poses.checker import Checker
 from ..poses.store import PoseList
 from ..typing import Array
@@ -67,7 +69,7 @@ def save_cell_picture(cell: Cell, poses: PoseList | None, path: str | Path) -> t
         if number == 2:
             flat.legend(loc="best", fontsize=8, frameon=False)
     figure.tight_layout()
-    path = Path(path)
+    path = check_replaceable(path, "a picture", PICTURES)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     plt.close(figure)

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from ..cell import Cell
+from ..files import check_replaceable
+from ..files.outputs import PICTURES
 from ..poses.plan import Plan
 from .style import pyplot
 
@@ -53,7 +55,7 @@ def save_picture(cell: Cell, plan: Plan, path: str | Path) -> Path:
         f"O1 {f['o1']:.3g}, condition {f['condition']:.3g}",
         y=0.98,
     )
-    path = Path(path)
+    path = check_replaceable(path, "a picture", PICTURES)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
     plt.close(figure)

@@ -79,9 +79,9 @@ def test_rivals_are_named(measured, tmp_path, capsys):
 def test_a_model_file_is_not_overwritten_unless_told_so(measured, tmp_path, capsys):
     session, model = measured
     out = tmp_path / "m.yaml"
-    out.write_text("mine")
+    out.write_text("format: irec-model/1\n")
     assert main(["remove", model, "link_bending", session, "-o", str(out)]) == 2
-    assert "--force" in capsys.readouterr().err and out.read_text() == "mine"
+    assert "--force" in capsys.readouterr().err and out.read_text() == "format: irec-model/1\n"
     assert main(["remove", model, "link_bending", session, "-o", str(out), "--force"]) == 0
     assert load_model(out).effects == ("joint_torsion",)
 

@@ -187,6 +187,11 @@ def test_a_run_through_the_nodes_gives_a_session_that_can_be_solved(
     assert solved.residual_rms < 2e-4
     refused = operator.call(SolveCompliances, "irec/solve", session_path=str(tmp_path / "none.mcap"))
     assert not refused.success and "no such file" in refused.message
+    recorded = (tmp_path / "s.mcap").read_bytes()
+    mistyped = {"session_path": str(tmp_path / "s.mcap"), "model_path": str(tmp_path / "s.mcap")}
+    refused = operator.call(SolveCompliances, "irec/solve", **mistyped)
+    assert not refused.success and "s.mcap: exists and is not a model" in refused.message
+    assert (tmp_path / "s.mcap").read_bytes() == recorded
     nowhere = {"session_path": str(tmp_path / "s.mcap"), "model_path": "/proc/nowhere/model.yaml"}
     refused = operator.call(SolveCompliances, "irec/solve", **nowhere)
     assert not refused.success and "/proc/nowhere/model.yaml: the model can't be written" in refused.message
