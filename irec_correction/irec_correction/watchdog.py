@@ -39,6 +39,8 @@ class Fault(StrEnum):
     OFFSET_FRAME = "offset_frame"
     OFFSET_CLOCK = "offset_clock"
     OTHER_SENDER = "other_sender"
+    ROBOT_FAULT = "robot_fault"
+    NOT_OBEYED = "not_obeyed"
     PREDICTION = "prediction"
     INTERNAL = "internal"
     HELD_UP = "held_up"

@@ -51,7 +51,7 @@ class CellSide:
         self.types = JointState, WrenchStamped
         self.rng = np.random.default_rng(0)
         self.publishing = True
-        self.rail: float | None = None  # m; None: it is not among the joint states
+        self.rail: float | None = 0.0  # m; None: it is not among the joint states
         self.instead: dict[str, object] = {}  # what is sent in place of the next "joints" or "wrench"
         self.node.create_timer(0.004, self._publish)
 

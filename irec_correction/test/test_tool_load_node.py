@@ -37,7 +37,7 @@ class Cell:
         self.ros = RosSide("cell")
         self.q, self.rng = Q.copy(), np.random.default_rng(0)
         self.R_sensor_in_tool, _ = sensor_in_tool(ROBOT, "ft_sensor")
-        self._joints, self._wrench = JointState(name=list(ROBOT.joint_names)), WrenchStamped()
+        self._joints, self._wrench = JointState(name=[*ROBOT.joint_names, "ext_rail"]), WrenchStamped()
         self._wrench.header.frame_id = "ft_sensor"
         self._joints_out = self.ros.node.create_publisher(JointState, "joint_states", 50)
         self._wrench_out = self.ros.node.create_publisher(WrenchStamped, "wrench_raw", 50)
@@ -47,7 +47,7 @@ class Cell:
     def _publish(self) -> None:
         stamp = self.ros.node.get_clock().now().to_msg()
         self._joints.header.stamp = self._wrench.header.stamp = stamp
-        self._joints.position = array("d", self.q.tolist())
+        self._joints.position = array("d", [*self.q.tolist(), 0.0])
         R = ROBOT.kinematics(self.q[None]).R_tool[0] @ self.R_sensor_in_tool
         f = (LOAD.reading(R, GRAVITY) + self.rng.normal(0.0, 0.2, 6)).tolist()
         w = self._wrench.wrench

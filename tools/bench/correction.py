@@ -335,7 +335,7 @@ from sensor_msgs.msg import JointState
 period, q, wrench = float(sys.argv[1]), {q}, np.array({wrench})
 rclpy.init(); node = rclpy.create_node("feeder")
 w_out, j_out = node.create_publisher(WrenchStamped, "wrench", 50), node.create_publisher(JointState, "joint_states", 50)
-w, j = WrenchStamped(), JointState(name=[f"joint_{{k}}" for k in range(1, 7)], position=array("d", q))
+w, j = WrenchStamped(), JointState(name=[f"joint_{{k}}" for k in range(1, 7)] + ["ext_rail"], position=array("d", [*q, 0.0]))
 w.header.frame_id = "tool0"; rng = np.random.default_rng(0); due = time.monotonic(); i = 0
 while True:
     i += 1

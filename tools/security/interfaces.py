@@ -90,10 +90,10 @@ NODES = (
     Node(
         "irec_correction", "correction_node", lifecycle=True,
         publish=("irec/offset", "irec/correction/state", "irec/wrench_process", "sim/follower", "/diagnostics"),
-        subscribe=("wrench", "wrench_raw", "joint_states", "robot_description"),
+        subscribe=("wrench", "wrench_raw", "joint_states", "robot_description", "robot/state"),
         serve=("irec/correction/activate_model", "irec/wrench/record_orientation", "irec/wrench/identify_tool_load"),
         sometimes=("irec/offset", "irec/correction/state", "irec/wrench_process", "sim/follower", "wrench", "wrench_raw",
-                   "joint_states", "irec/correction/activate_model", "irec/wrench/record_orientation",
+                   "joint_states", "robot/state", "irec/correction/activate_model", "irec/wrench/record_orientation",
                    "irec/wrench/identify_tool_load", "/diagnostics"),
     ),
     Node(

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from ..correction import Correction
 from ..link_angles import LinkAngles
 from ..orientations import Orientations
-from ..watchdog import Finding
+from ..watchdog import Fault, Finding
 from .chain_clock import ChainClock
 
 
@@ -23,9 +23,12 @@ class CorrectionInputs:
 
     def __init__(
         self, correction: Correction, names: Sequence[str], clock: ChainClock, rail_joint: str,
-        orientations: Orientations | None = None, links: LinkAngles | None = None,
+        orientations: Orientations | None = None, links: LinkAngles | None = None, *,
+        rail_needed: bool = False, strangers: Callable[[Sequence[str]], None] | None = None,
     ) -> None:  # fmt: skip
-        """names: of the robot's joints in joint_states, from base to tool; rail_joint: of the rail there."""
+        """names: of the robot's joints in joint_states, from base to tool; rail_joint: of the rail there; rail_needed: the cell
+        has one. strangers: is told names of joint states without any joint of this robot."""
+        self._rail_needed, self._strangers = rail_needed, strangers
         self._links = links
         self._correction, self._clock, self._orientations = correction, clock, orientations
         self._wanted, self._rail_joint = tuple(names), rail_joint
@@ -51,6 +54,10 @@ class CorrectionInputs:
         if message.name != self._names:
             self._learn(list(message.name))
         if not self._columns:
+            if self._strangers is not None:
+                self._strangers(self._names)
+            return
+        if not self._has_rail():
             return
         # names without a position are missing joints, and the watchdog says how many came
         given = len(message.position)
@@ -65,6 +72,20 @@ class CorrectionInputs:
             self._pass_on(self._links.take_motor(stamp, q))
         if self._orientations is not None and len(q) == len(self._wanted) and math.isfinite(float(q.sum())):
             self._orientations.take_joints(stamp, q)
+
+    def _has_rail(self) -> bool:
+        """Whether the rail is among joint states that came in; where it is not, the robot may stand anywhere on it."""
+        if not self._rail_needed or self._rail is not None:
+            self._correction.watchdog.clear("rail")
+            return True
+        names = ", ".join(f"'{n}'" for n in self._names)
+        self._correction.watchdog.refuse(
+            "rail",
+            Fault.JOINTS_NAMES,
+            f"joint_states: there is no '{self._rail_joint}' among {names}, and the cell file has a rail; the driver has to send"
+            " it in each message, under the name of robot.rail.joint_name",
+        )
+        return False
 
     def take_links(self, message: JointState) -> None:
         """Link-side angles by name; a message without any joint of the robot is somebody else's."""

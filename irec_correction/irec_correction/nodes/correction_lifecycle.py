@@ -35,10 +35,11 @@ from . import parameters
 from .chain_clock import ChainClock
 from .correction_inputs import CorrectionInputs
 from .correction_outputs import CorrectionOutputs
+from .correction_watch import CorrectionWatch
 from .fade_out import fade_out_now, not_at_zero
 from .managed import Managed, run_managed
 from .model_checks import CheckedModel, Mounted, calibration_in_force, read_checked
-from .offset_topics import LINGER, refusal, wait_for_discovery
+from .offset_topics import LINGER, wait_for_discovery
 from .tool_load_service import create_services
 
 SENSOR_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -46,7 +47,6 @@ LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabi
 RAIL = "ext_rail"  # default of parameter rail_joint
 EARLY = 0.75  # of a period: a wrench that comes sooner after the last tick makes none
 MISSING = 1.5  # periods without a tick: the timer makes one
-LOOK = 0.02  # s between two looks for others that send an offset
 
 
 class CorrectionNode(Managed):
@@ -56,7 +56,6 @@ class CorrectionNode(Managed):
     def __init__(self) -> None:
         super().__init__("correction_node")
         self._made = time.monotonic()
-        self._looked = -1.0  # for others that send an offset
         self._told = State.INACTIVE  # in diagnostics, at once
         self._p = Parameters(self, (*parameters.CORRECTION, *parameters.LINKS))
         refuse_unknown_parameters(self)
@@ -97,25 +96,16 @@ class CorrectionNode(Managed):
         self.errors = {}
 
     def _begin(self) -> None:
-        """Ramp in, unless somebody else sends an offset. Raises IrecError."""
-        correction, offsets = self._chain(), self._outputs.offsets
+        """Ramp in, unless somebody else sends an offset or an input. Raises IrecError."""
+        correction = self._chain()
         wait_for_discovery(self._made)
-        if others := offsets.others():
-            correction.supervisor.reason = self.errors["activation"] = refusal(others)
-            raise ActivationError(refusal(others))
+        try:
+            self._watch.check_start()
+        except ActivationError as error:
+            correction.supervisor.reason = self.errors["activation"] = str(error)
+            raise
         correction.start(self._chain_clock.now(), LINGER)
-        offsets.open()
-
-    def _watch_others(self, correction: Correction, now: float) -> None:
-        """Two senders make the offset jump between theirs: each of them fades out."""
-        if 0.0 <= now - self._looked < LOOK:
-            return
-        self._looked = now
-        others = self._outputs.offsets.others() if self._outputs.offsets.is_open else ""
-        if others:
-            correction.watchdog.refuse("other sender", Fault.OTHER_SENDER, others)
-        else:
-            correction.watchdog.clear("other sender")
+        self._outputs.offsets.open()
 
     def stop(self) -> None:
         """Fade the offset out; a fault stays one until somebody activates again."""
@@ -171,13 +161,19 @@ class CorrectionNode(Managed):
         encoders = parameters.links(p, robot)
         self._correction.links = encoders[0] if encoders else None
         self._orientations = Orientations(robot, where[0], gravity) if where is not None else None
-        self._inputs = CorrectionInputs(self._correction, names, self._chain_clock, rail, self._orientations,
-                                        encoders[1] if encoders else None)  # fmt: skip
         self._outputs = CorrectionOutputs(
             self, self._correction, self._chain_clock, serial, parameters.offset_frame(p), self._status,
             parameters.outputs(p), names,
         )  # fmt: skip
-        self.entities += self._outputs.entities
+        alone = [_wrench_topic(raw), *([str(p["links.topic"])] if encoders else [])]
+        self._watch = CorrectionWatch(
+            self, self._correction, self._chain_clock, self._outputs.offsets, alone, parameters.outputs(p)[0]
+        )
+        self._inputs = CorrectionInputs(
+            self._correction, names, self._chain_clock, rail, self._orientations, encoders[1] if encoders else None,
+            rail_needed=cell is not None and cell.rail is not None, strangers=self._watch.senders.saw_strangers,
+        )  # fmt: skip
+        self.entities += [*self._outputs.entities, *self._watch.entities]
         self._last_tick = -1.0
         self.get_logger().info(str(delay_cost(filters, p["process_feed"], p["deflection_slope"])))
         if p["model_path"]:
@@ -319,9 +315,10 @@ class CorrectionNode(Managed):
     def _tick(self, now: float) -> None:
         self._last_tick = now
         correction = self._chain()
-        self._watch_others(correction, now)
+        self._watch.look(now)
         out = correction.tick(now)
         self._outputs.publish(now, out)
+        self._watch.sent(now, out)
         if out.state is not self._told:
             self._told = out.state
             self._on_second()
