@@ -38,6 +38,7 @@ class CorrectionSettings:
         lead: the offset is extrapolated by this time, s: the measured delay from force to robot. 0: not at all.
         lead_smoothing: time constant of the rate that is extrapolated, s. lead_limit: largest extrapolation, m and rad.
         need_envelope: refuse a model without the range that it was identified in.
+        start_load: share of the largest force of the model with which it may begin; inf: any.
         held_up: s between two ticks, beyond which this process was held up: hold, then ramp in. inf: who asks for ticks pauses.
     """
 
@@ -47,6 +48,7 @@ class CorrectionSettings:
     lead_smoothing: float = 0.02
     lead_limit: float = 2e-4
     need_envelope: bool = False
+    start_load: float = math.inf
     held_up: float = HELD_UP
     limits: OffsetLimits = field(default_factory=OffsetLimits)
     times: StateTimes = field(default_factory=StateTimes)
@@ -59,6 +61,8 @@ class CorrectionSettings:
             raise SettingsError(f"lead of the correction is {self.lead} s; 0 .. 0.1 s is possible")
         if not self.lead_smoothing > 0.0:
             raise SettingsError(f"lead_smoothing is {self.lead_smoothing} s; it must be above 0")
+        if not self.start_load >= 0.0:
+            raise SettingsError(f"start_load of the correction is {self.start_load}; 0 and more is possible")
 
 
 @dataclass(frozen=True)
@@ -123,6 +127,7 @@ class Correction:
         self._wanted = np.zeros(6)
         self._u, self._turn = np.zeros(3), np.zeros(3)
         self._last_tick: float | None = None
+        self._begins: float | None = None  # s, when the load is looked at once
 
     # -- model ---------------------------------------------------------------------------------------------------------
 
@@ -153,16 +158,35 @@ class Correction:
         return self.supervisor.state in (State.INACTIVE, State.FAULT) and not np.any(np.abs(self.present) > ZERO_OFFSET)
 
     def start(self, now: float, after: float = 0.0) -> None:
-        """Ramp in, `after` s of no offset. Raises ActivationError without a model."""
+        """Ramp in, `after` s of no offset. Raises ActivationError: without a model, or under load."""
         if self.deflection is None:
             raise ActivationError("no model is in force; activate one first")
+        self.watchdog.clear("start")
+        if (load := self.load_at_start()) and self.watchdog.untrusted(now) is None:
+            raise ActivationError(load)
         if self.supervisor.state is State.FAULT:
             self.supervisor.stop(now, self.present)
         self.deflection.reset()
         if self.links is not None:
             self.links.start()
         self.watchdog.clear_errors()
+        self._begins = now + 0.5 * after
         self.supervisor.start(now, self.present, after)
+
+    def load_at_start(self) -> str:
+        """Why the correction should not begin with the force of now; empty where it may.
+
+        A robot that stands in contact by its position is pushed by an offset into what pushes it back.
+        """
+        envelope, share = self.watchdog.envelope, self.settings.start_load
+        force = float(np.linalg.norm(self._wrench[:3]))
+        if envelope is None or force <= share * envelope.force:
+            return ""
+        return (
+            f"the force is {force:.0f} N where the correction is to begin, limit {share * envelope.force:.0f} N ({share:g} of the"
+            f" {envelope.force:.0f} N that the model was identified up to): the robot seems to press on something, and an offset"
+            " would make it press harder; take the tool off first, or raise start_load where it has to begin under load"
+        )
 
     def stop(self, now: float, reason: str = "stopped") -> None:
         """Fade out."""
@@ -241,6 +265,11 @@ class Correction:
         if self.links is not None and self.links.is_late(now):
             self.watchdog.refuse("secondary encoders", Fault.JOINTS_STALE, "no windup from the secondary encoders")
         finding = finding or self.watchdog.finding(now, self._wrench)
+        if finding is None and self._begins is not None and now >= self._begins:
+            self._begins = None
+            if load := self.load_at_start():
+                self.watchdog.refuse("start", Fault.START_LOAD, load)
+                finding = self.watchdog.finding(now, self._wrench)
         if finding is None and self.deflection is not None:
             finding = self._predict(self.deflection, min(max(dt, 0.0), period))
         if finding is None and self.deflection is not None:

@@ -6,7 +6,7 @@ INACTIVE ------------> RAMP_IN ------------> ACTIVE
     ^  ^                 |  ^  ^               |
     |  |       lost      |  |  |  back   lost  |         stop or outside leads from each of RAMP_IN, ACTIVE and HOLD to FADE;
     |  |                 v  |  |               |         back leads from FADE to RAMP_IN where the model was outside
-    |  |                HOLD --+ <-------------+         its envelope, not where an input was lost.
+    |  |                HOLD --+ <-------------+         its envelope, not where an input was lost, and RETURNS times at most.
     |  | faded           | expired
     |  +----------- FADE <
     | stop           | faded after a loss
@@ -15,6 +15,7 @@ INACTIVE ------------> RAMP_IN ------------> ACTIVE
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
@@ -23,6 +24,8 @@ from irec_calibration.typing import Array
 
 from .errors import SettingsError
 from .watchdog import Finding
+
+RETURNS, WITHIN = 3, 10.0  # times that the correction comes back by itself within so many s: one more waits for the operator
 
 
 class State(IntEnum):
@@ -103,10 +106,13 @@ class Supervisor:
         self._held = np.zeros(6)
         self._stopped = True
         self._lost = False
+        self._returned: deque[float] = deque()  # when it came back to where the model holds, s
+        self._outside = ""  # why it was faded out before that
 
     def start(self, now: float, present: Array, after: float = 0.0) -> None:
         """Ask for an offset, which begins to change `after` s from now. In FAULT: acknowledge first by `stop`."""
         self._stopped = False
+        self._returned.clear()
         if self._go(Event.START, now, present, "ramping in"):
             self._after = after
 
@@ -156,12 +162,25 @@ class Supervisor:
                 self._enter(State.INACTIVE, now, present, self.reason)
             elif faded:
                 self._go(Event.FADED, now, present, self.reason)
+        elif sound and self._returns_too_often(now):
+            self._lost = True
+            self.reason = (
+                f"faded out {RETURNS + 1} times within {WITHIN:g} s, {RETURNS} are possible: {self._outside}; does the offset"
+                " press the tool into what it touches, or is this load too much for the model? Activate again without it"
+            )
         elif sound:
+            self._returned.append(now)
             self._go(Event.BACK, now, present, "back where the model holds")
         elif finding is not None and not finding.outside:
             self._lost, self.reason = True, finding.text  # sound input ended while outside: now the operator is needed
         elif finding is not None:
-            self.reason = finding.text
+            self.reason = self._outside = finding.text
+
+    def _returns_too_often(self, now: float) -> bool:
+        """Where what the offset itself does ends it, it would come and go without end."""
+        while self._returned and not 0.0 <= now - self._returned[0] <= WITHIN:
+            self._returned.popleft()
+        return len(self._returned) >= RETURNS
 
     def _sound_for(self, now: float, finding: Finding | None) -> bool:
         if finding is not None:
@@ -175,6 +194,7 @@ class Supervisor:
         new = TRANSITIONS.get((self.state, event))
         if new is not None:
             self._enter(new, now, present, reason)
+            self._outside = reason if event is Event.OUTSIDE else self._outside
         return new is not None
 
     def _enter(self, state: State, now: float, present: Array, reason: str) -> None:

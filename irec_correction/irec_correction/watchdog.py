@@ -44,6 +44,7 @@ class Fault(StrEnum):
     PREDICTION = "prediction"
     INTERNAL = "internal"
     HELD_UP = "held_up"
+    START_LOAD = "start_load"
     OUTSIDE_JOINTS = "outside_joints"
     OUTSIDE_WRENCH = "outside_wrench"
 
@@ -291,6 +292,10 @@ class Watchdog:
         return found
 
     def _find(self, now: float, wrench_at_tcp: Array) -> Finding | None:
+        return self.untrusted(now) or self._outside(wrench_at_tcp)
+
+    def untrusted(self, now: float) -> Finding | None:
+        """Why the inputs of now can't be used, or None; not counted."""
         s = self.settings
         if self._refused:
             return next(iter(self._refused.values()))
@@ -303,7 +308,7 @@ class Watchdog:
             if not abs(now - stream.came_in) <= timeout:  # in the future: the clock was set back
                 age = f"for {now - stream.came_in:.3f} s" if math.isfinite(stream.came_in) else "yet"
                 return Finding(fault, f"no {what} {age}, limit {timeout} s")
-        return self._outside(wrench_at_tcp)
+        return None
 
     def _outside(self, wrench_at_tcp: Array) -> Finding | None:
         e, s = self.envelope, self.settings

@@ -51,6 +51,7 @@ class CellSide:
         self.types = JointState, WrenchStamped
         self.rng = np.random.default_rng(0)
         self.publishing = True
+        self.load = 1.0  # share of WRENCH
         self.rail: float | None = 0.0  # m; None: it is not among the joint states
         self.instead: dict[str, object] = {}  # what is sent in place of the next "joints" or "wrench"
         self.node.create_timer(0.004, self._publish)
@@ -76,7 +77,7 @@ class CellSide:
         elif self.publishing:
             w = wrench()
             w.header.stamp, w.header.frame_id = stamp, "tool0"
-            f = (WRENCH + self.rng.normal(0, 0.5, 6)).tolist()
+            f = (self.load * WRENCH + self.rng.normal(0, 0.5, 6)).tolist()
             w.wrench.force.x, w.wrench.force.y, w.wrench.force.z = f[:3]
             w.wrench.torque.x, w.wrench.torque.y, w.wrench.torque.z = f[3:]
             self.wrench.publish(w)

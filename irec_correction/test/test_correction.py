@@ -425,3 +425,39 @@ def test_a_rail_position_that_is_no_number_is_held_and_named(rail: float) -> Non
     assert rig.outputs[-1].state is State.HOLD
     assert f"the position of the rail is {rail}" in rig.outputs[-1].reason
     np.testing.assert_allclose(rig.correction.present, before, atol=1e-5)
+
+
+def begun(load: float, **changes: object) -> Rig:
+    """A correction that was asked to begin before the first wrench came, as after a start by itself."""
+    rig = Rig(**{"start_load": 0.15, **changes})
+    rig.wrench = load * WRENCH
+    rig.correction.start(rig.now, 0.2)
+    return rig
+
+
+def test_in_contact_the_correction_does_not_begin_whoever_asks_first():
+    rig = begun(1.0)
+    out = rig.run(2.5)
+    assert out.state is State.FAULT and rig.largest_step == 0.0
+    assert "the force is 916 N where the correction is to begin, limit 180 N (0.15 of the 1200 N" in out.reason
+    with pytest.raises(ActivationError, match="take the tool off first"):
+        rig.correction.start(rig.now, 0.2)
+    rig.wrench = 0.1 * WRENCH
+    rig.run(0.5)
+    rig.correction.start(rig.now, 0.2)
+    assert rig.run(1.0).state is State.ACTIVE
+    rig.wrench = WRENCH.copy()
+    assert rig.run(1.0).state is State.ACTIVE, "what comes later is the process"
+    rig.run(0.1, wrench=False)
+    assert rig.run(1.0).state is State.ACTIVE, "and a wrench that was lost for a moment is no beginning"
+
+
+def test_without_contact_it_begins_and_with_leave_it_begins_in_contact():
+    assert begun(0.1).run(1.5).state is State.ACTIVE
+    assert begun(1.0, start_load=10.0).run(1.5).state is State.ACTIVE
+
+
+def test_a_share_that_is_no_number_is_refused():
+    for share in (-0.1, float("nan")):
+        with pytest.raises(SettingsError, match="start_load"):
+            CorrectionSettings(start_load=share)

@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.alone]
 def cell_side(ros_domain, start_process, tmp_path):
     start_process([
         sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={with_tool(tmp_path)}",
-        "-p", "autostart:=true", "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0",
+        "-p", "autostart:=true", "-p", "start_load:=10.0", "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0",
         "-p", "filter.cutoff:=20.0", "-p", "output:=both",
     ], name="correction")  # fmt: skip
     side = CellSide()
@@ -84,7 +84,7 @@ def test_a_node_that_comes_back_takes_the_calibration_in_force_and_waits_to_be_a
     shutil.move(path, tmp_path / "new" / "model.yaml")
     entry = store.put_in_force(store.add(tmp_path / "new", "recalibrated", "M").calibration, "M")
     start = [sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
-             "-p", "autostart:=true", "-p", f"calibrations:={tmp_path}"]  # fmt: skip
+             "-p", "autostart:=true", "-p", "start_load:=10.0", "-p", f"calibrations:={tmp_path}"]  # fmt: skip
     first = start_process(start, name="correction")
     side = CellSide()
     try:

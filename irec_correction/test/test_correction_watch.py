@@ -40,11 +40,12 @@ class Driver:
 
 
 @pytest.fixture
-def side(ros_domain, start_process):
+def side(ros_domain, start_process, request):
+    more = getattr(request, "param", ["-p", "start_load:=10.0"])
     start_process([
         sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
         "-p", "autostart:=true", "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0",
-        "-p", "watch.frozen_after:=2.0", "-p", "watch.clock_tolerance:=5.0",
+        "-p", "watch.frozen_after:=2.0", "-p", "watch.clock_tolerance:=5.0", *more,
     ], name="correction")  # fmt: skip
     side = CellSide()
     yield side
@@ -137,3 +138,18 @@ def test_joint_states_without_the_rail_are_held_and_named_in_a_cell_with_a_rail(
     assert "there is no 'ext_rail' among 'joint_1', 'joint_2'" in faded(side)
     side.rail = 0.0
     activate(side, tmp_path)
+
+
+@pytest.mark.parametrize("side", [[]], indirect=True)
+def test_a_robot_that_presses_on_something_is_not_corrected_until_it_is_free(side, tmp_path):
+    answer = side.activate(afp_model(tmp_path))
+    if not answer.success:  # the node had a wrench already
+        assert "limit 180 N (0.15 of the 1200 N" in answer.message
+    side.until(lambda: any("take the tool off first" in str(d) for d in side.diagnostics), what="the reason")
+    side.until(lambda: side.states[-1].state in (INACTIVE, FAULT), what="at rest")
+    assert not side.offsets or max(np.linalg.norm(o) for o in side.offsets) < 1e-8
+    side.load = 0.1
+    side.until(lambda: abs(side.states[-1].wrench_process.force.z) < 150.0, what="the filtered force")
+    activate(side, tmp_path)
+    side.load = 1.0  # what comes later is the process
+    stays(side, ACTIVE, 2.0)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from irec_correction.errors import SettingsError
-from irec_correction.state import TRANSITIONS, Event, State, StateTimes, Supervisor
+from irec_correction.state import RETURNS, TRANSITIONS, WITHIN, Event, State, StateTimes, Supervisor
 from irec_correction.watchdog import Fault, Finding
 
 TIMES = StateTimes(ramp_in=0.5, hold=0.25, fade=1.0, recover=0.05)
@@ -113,3 +113,37 @@ def test_reason_is_given_whenever_the_offset_does_not_follow_the_model(sequence)
         run.present = run.supervisor.tick(run.now, finding, WANTED, run.present)
         assert run.supervisor.reason or run.supervisor.state is State.ACTIVE
         assert np.all(np.abs(run.present) <= np.abs(WANTED) + 1e-12)
+
+
+def flap(run: Run, times: int, every: float) -> State:
+    """Outside the model's range for a moment, again and again."""
+    for _ in range(times):
+        run.go(0.1, OUTSIDE)
+        state = run.go(every - 0.1)
+    return state
+
+
+def test_what_comes_and_goes_by_itself_again_and_again_ends_in_a_fault_for_the_operator():
+    run = Run().active()
+    assert flap(run, RETURNS, 0.2) is State.RAMP_IN
+    assert flap(run, 1, 0.2) is State.FADE
+    assert run.go(1.5) is State.FAULT
+    assert "faded out 4 times within 10 s, 3 are possible: joint_1" in run.supervisor.reason
+    assert "press the tool into what it touches" in run.supervisor.reason
+    assert not np.any(run.present)
+    run.supervisor.stop(run.now, run.present)
+    run.active()  # the operator's activation counts from none
+    assert flap(run, RETURNS, 0.2) is State.RAMP_IN
+
+
+def test_what_is_outside_seldom_comes_back_for_ever():
+    run = Run().active()
+    assert flap(run, 5 * RETURNS, WITHIN / RETURNS + 0.2) is State.ACTIVE
+
+
+def test_a_clock_that_was_set_back_forgets_how_often_it_came_back():
+    run = Run().active()
+    flap(run, RETURNS, 0.2)
+    run.now -= 1000.0
+    assert run.go(0.7) is State.ACTIVE
+    assert flap(run, 1, 0.2) is State.RAMP_IN

@@ -385,7 +385,8 @@ def bench_topic(seconds: float, period: float, priority: int) -> dict:
     folder = tempfile.mkdtemp(prefix="irec_bench_")
     model = save_model(model_18(), Path(folder) / "model.yaml")
     node = ["-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}", "-p", "autostart:=true", "-p",
-            f"model_path:={model}", "-p", f"rate:={1 / period}", "-p", f"wrench_rate:={1 / period}"]  # fmt: skip
+            "start_load:=10.0", "-p", f"model_path:={model}", "-p", f"rate:={1 / period}", "-p",
+            f"wrench_rate:={1 / period}"]  # fmt: skip
     feeder = FEEDER.format(q=Q.tolist(), wrench=WRENCH.tolist())
     commands = [["-c", TIMER, str(period)], node, ["-c", feeder, str(period)]]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}

@@ -221,7 +221,7 @@ class CorrectionSide:
             self.state = None
             self._counters.clear()
             s.start("correction", "irec_correction.nodes.correction_node",
-                    {"cell": CELL, "autostart": True, "use_sim_time": True, "time.hold": 0.6})  # fmt: skip
+                    {"cell": CELL, "autostart": True, "use_sim_time": True, "time.hold": 0.6, "start_load": 10.0})  # fmt: skip
         self._description.publish(String(data=self._urdf))
         s.until(self._service.service_is_ready, "the correction answers", START)
         self._wait(0.2)

@@ -57,7 +57,7 @@ class CorrectionNode(Managed):
         super().__init__("correction_node")
         self._made = time.monotonic()
         self._told = State.INACTIVE  # in diagnostics, at once
-        self._p = Parameters(self, (*parameters.CORRECTION, *parameters.LINKS))
+        self._p = Parameters(self, (*parameters.CORRECTION, *parameters.OWN, *parameters.LINKS))
         refuse_unknown_parameters(self)
         for name in [p.name for p in parameters.CORRECTION if p.settable]:
             self._p.when_set(name, self._take_limits)
@@ -101,10 +101,10 @@ class CorrectionNode(Managed):
         wait_for_discovery(self._made)
         try:
             self._watch.check_start()
+            correction.start(self._chain_clock.now(), LINGER)
         except ActivationError as error:
             correction.supervisor.reason = self.errors["activation"] = str(error)
             raise
-        correction.start(self._chain_clock.now(), LINGER)
         self._outputs.offsets.open()
 
     def stop(self) -> None:
@@ -145,7 +145,7 @@ class CorrectionNode(Managed):
         filters = make_filters(parameters.filter_settings(p, robot.joint_names))
         where = sensor_in_tool(robot, frame) if raw else None
         conditioner = Conditioner(filters, where, parameters.tool_load(p), parameters.cable(p), gravity)
-        settings = parameters.correction_settings(p, frame)
+        settings = parameters.correction_settings(p, frame, p["start_load"])
         rail = recorded_rail = str(p["rail_joint"])
         names = robot.joint_names
         if axes is not None:  # the cell file knows how the driver names them

@@ -4,6 +4,7 @@ written from these tables (`python tools/docs/node_parameters.py`)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -96,6 +97,9 @@ CORRECTION = (
 )
 
 # what correction_node has beyond the table above; rsi_bridge can't take them
+OWN = (
+    P("start_load", 0.15, "share of the model's largest force with which the correction may begin: more is a contact", 0.0, 10.0),
+)
 LINKS = (
     P("links.topic", "", "joint states behind the gears (secondary encoders); empty: none. The model is one of what lies beyond"),
     P("links.file", "", "table of the course without process (irec links); empty: the windup at the start is taken off"),
@@ -170,7 +174,7 @@ def rail_range(cell: Cell | None) -> RailRange | None:
     return None if cell.rail is None else RailRange(float(cell.rail.lower), float(cell.rail.upper))
 
 
-def correction_settings(v: Parameters, wrench_frame: str) -> CorrectionSettings:
+def correction_settings(v: Parameters, wrench_frame: str, start_load: float = math.inf) -> CorrectionSettings:
     """Settings of the chain. Raises SettingsError."""
     watch = {f: v[f"watch.{f}"] for f in WatchdogSettings.__dataclass_fields__ if f != "wrench_frame"}
     return CorrectionSettings(
@@ -180,6 +184,7 @@ def correction_settings(v: Parameters, wrench_frame: str) -> CorrectionSettings:
         lead_smoothing=v["lead_smoothing"],
         lead_limit=v["lead_limit"],
         need_envelope=v["need_envelope"],
+        start_load=start_load,
         limits=offset_limits(v),
         times=StateTimes(**{f: v[f"time.{f}"] for f in StateTimes.__dataclass_fields__}),
         watchdog=WatchdogSettings(wrench_frame=wrench_frame, **watch),
