@@ -85,7 +85,8 @@ class WatchdogSettings:
             since the last angles that were believed: a gap in the messages hides no jump.
         rail_speed: m/s, fastest the external axis can be; a step above it (plus `joint_jump`, m) is a jump as of a joint.
         rail_margin: m beyond the range of the external axis.
-        clock_tolerance: s, |stamp - now|.
+        clock_tolerance: s, |stamp - now|: beyond, the clocks differ.
+        age_limit: s, an input that is older when it comes in is stale.
         force_range, torque_range: of the sensor, any axis, N and N m.
         wrench_frame: frame_id that wrenches must have; empty: any.
         joint_margin: rad beyond the joint angles that the model was identified in.
@@ -103,6 +104,7 @@ class WatchdogSettings:
     rail_speed: float = 5.0
     rail_margin: float = 0.1
     clock_tolerance: float = 0.5
+    age_limit: float = 0.15
     force_range: float = math.inf
     torque_range: float = math.inf
     wrench_frame: str = ""
@@ -194,7 +196,7 @@ class Watchdog:
             return Finding(Fault.WRENCH_FRAME, f"wrench comes in frame '{frame}', '{s.wrench_frame}' is needed")
         if not np.all(np.isfinite(reading)):
             return Finding(Fault.WRENCH_NOT_FINITE, "wrench holds NaN or infinity")
-        clock = self._clock_refused(Fault.WRENCH_CLOCK, "wrench", self._wrench.stamp, stamp, now)
+        clock = self._clock_refused((Fault.WRENCH_CLOCK, Fault.WRENCH_STALE), "wrench", self._wrench.stamp, stamp, now)
         if clock is not None:
             return clock
         force, torque = float(np.abs(reading[:3]).max()), float(np.abs(reading[3:]).max())
@@ -217,12 +219,17 @@ class Watchdog:
         d = np.abs(a - b)
         return bool(d[:3].max() > self.settings.force_jump or d[3:].max() > self.settings.torque_jump)
 
-    def _clock_refused(self, fault: Fault, what: str, last: float, stamp: float, now: float) -> Finding | None:
+    def _clock_refused(self, faults: tuple[Fault, Fault], what: str, last: float, stamp: float, now: float) -> Finding | None:
+        """faults: where the clocks differ, and where the input is old."""
+        fault, limit = faults[0], self.settings.age_limit
         if not math.isfinite(stamp) or abs(stamp - now) > self.settings.clock_tolerance:
             away = stamp - now
             return Finding(fault, f"{what} is stamped {away:+.3f} s from now, limit {self.settings.clock_tolerance} s")
         if stamp < last:
             return Finding(fault, f"{what} is stamped {last - stamp:.4f} s before the one before it")
+        if now - stamp > limit:
+            age = f"{what} is {now - stamp:.3f} s old when it comes in, limit {limit:g} s; look for what delays it"
+            return Finding(faults[1], age)
         return None
 
     def accept_joints(self, stamp: float, now: float, q: Array, rail: float = 0.0) -> bool:
@@ -243,7 +250,7 @@ class Watchdog:
             return Finding(Fault.JOINTS_NOT_FINITE, "joint angles hold NaN or infinity")
         if not math.isfinite(rail):
             return Finding(Fault.JOINTS_NOT_FINITE, f"the position of the rail is {rail}, a finite number is needed")
-        clock = self._clock_refused(Fault.JOINTS_CLOCK, "joint state", self._joints.stamp, stamp, now)
+        clock = self._clock_refused((Fault.JOINTS_CLOCK, Fault.JOINTS_STALE), "joint state", self._joints.stamp, stamp, now)
         if clock is not None:
             return clock
         if self._q is not None:

@@ -461,3 +461,27 @@ def test_a_share_that_is_no_number_is_refused():
     for share in (-0.1, float("nan")):
         with pytest.raises(SettingsError, match="start_load"):
             CorrectionSettings(start_load=share)
+
+
+@pytest.mark.parametrize(
+    ("age", "fault", "text"),
+    [
+        (0.1, None, ""),
+        (0.45, "stale", "is 0.450 s old when it comes in, limit 0.15 s"),
+        (-0.4, None, ""),  # a clock that goes ahead by less than its tolerance is none of that
+        (0.6, "clock", "is stamped -0.600 s from now, limit 0.5 s"),
+        (-0.6, "clock", "is stamped +0.600 s from now, limit 0.5 s"),
+    ],
+)  # fmt: skip
+def test_an_input_that_is_old_when_it_comes_in_is_stale_long_before_the_clocks_are_doubted(age, fault, text):
+    for what, key in (("wrench", "wrench"), ("joint state", "joints")):
+        rig = Rig()
+        watchdog = rig.correction.watchdog
+        taken = {
+            "wrench": watchdog.accept_wrench(rig.now - age * (what == "wrench"), rig.now, "tool0", WRENCH),
+            "joints": watchdog.accept_joints(rig.now - age * (what != "wrench"), rig.now, Q, 0.0),
+        }
+        assert taken == {"wrench": True, "joints": True} | {key: fault is None}
+        finding = watchdog.finding(rig.now, np.zeros(6))
+        told = None if finding is None else (finding.fault.value, f"{what} {text}" in finding.text)
+        assert told == (None if fault is None else (f"{key}_{fault}", True))

@@ -17,7 +17,8 @@ STEP = 0.02 * 0.004 * 3  # messages may be lost on the way here: three ticks at 
 ARGUMENTS = [
     sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}", "-p", "autostart:=true",
     "-p", "start_load:=10.0", "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0",
-    "-p", "watch.frozen_after:=2.0", "-p", "watch.clock_tolerance:=5.0", "-p", "filter.cutoff:=0.0", "-p", "time.fade:=3.0",
+    "-p", "watch.frozen_after:=2.0", "-p", "watch.clock_tolerance:=5.0", "-p", "watch.age_limit:=5.0",
+    "-p", "filter.cutoff:=0.0", "-p", "time.fade:=3.0",
 ]  # fmt: skip
 
 

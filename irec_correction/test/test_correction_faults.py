@@ -24,7 +24,7 @@ def node(ros_domain, start_process) -> subprocess.Popen[bytes]:
     return start_process([
         sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
         "-p", "autostart:=true", "-p", "start_load:=10.0", "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0",
-        "-p", "watch.frozen_after:=2.0", "-p", "watch.clock_tolerance:=5.0",
+        "-p", "watch.frozen_after:=2.0", "-p", "watch.clock_tolerance:=5.0", "-p", "watch.age_limit:=5.0",
         "-p", "filter.cutoff:=0.0",
     ], name="correction")  # fmt: skip
 

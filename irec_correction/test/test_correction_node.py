@@ -22,7 +22,7 @@ def cell_side(ros_domain, start_process, tmp_path):
     start_process([
         sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={with_tool(tmp_path)}",
         "-p", "autostart:=true", "-p", "start_load:=10.0", "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0",
-        "-p", "filter.cutoff:=20.0", "-p", "output:=both",
+        "-p", "watch.age_limit:=2.0", "-p", "filter.cutoff:=20.0", "-p", "output:=both",
     ], name="correction")  # fmt: skip
     side = CellSide()
     yield side

@@ -45,7 +45,7 @@ def side(ros_domain, start_process, request):
     start_process([
         sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
         "-p", "autostart:=true", "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0",
-        "-p", "watch.frozen_after:=2.0", "-p", "watch.clock_tolerance:=5.0", *more,
+        "-p", "watch.frozen_after:=2.0", "-p", "watch.clock_tolerance:=5.0", "-p", "watch.age_limit:=5.0", *more,
     ], name="correction")  # fmt: skip
     side = CellSide()
     yield side

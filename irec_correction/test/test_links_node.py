@@ -48,8 +48,8 @@ def side(ros_domain, start_process, tmp_path):
     write_table(tmp_path / "links.csv", DryDriveTable(robot.joint_names, Q[None], (Q + DRY)[None], 1))
     start_process([
         sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
-        "-p", "autostart:=true", "-p", "start_load:=10.0",
-        "-p", "watch.wrench_timeout:=2.0", "-p", "watch.joints_timeout:=2.0", "-p", "time.hold:=1.0",
+        "-p", "autostart:=true", "-p", "start_load:=10.0", "-p", "watch.wrench_timeout:=2.0",
+        "-p", "watch.joints_timeout:=2.0", "-p", "watch.age_limit:=2.0", "-p", "time.hold:=1.0",
         "-p", "links.topic:=link_states", "-p", f"links.file:={tmp_path / 'links.csv'}", "-p", "links.timeout:=2.0",
     ], name="correction")  # fmt: skip
     side = EncoderSide()

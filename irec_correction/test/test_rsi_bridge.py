@@ -105,7 +105,7 @@ def watcher(ros_domain) -> Iterator[RosSide]:
 def start_bridge(start_process, drive: Drive, **parameters: object) -> subprocess.Popen[bytes]:
     given = {
         "cell": CELL, "port": drive.port, "filter.cutoff": 0.0, "watch.wrench_timeout": WATCH, "watch.joints_timeout": WATCH,
-        "watch.frozen_after": WATCH, **parameters,
+        "watch.frozen_after": WATCH, "watch.age_limit": WATCH, **parameters,
     }  # fmt: skip
     arguments = [item for k, v in given.items() for item in ("-p", f"{k}:={v}")]
     return start_process([sys.executable, "-m", "irec_correction.nodes.rsi_bridge", "--ros-args", *arguments], name="rsi_bridge")

@@ -79,6 +79,7 @@ def cell(ros_domain, start_process) -> Iterator[Cell]:
     start_process([
         sys.executable, "-m", "irec_correction.nodes.correction_node", "--ros-args", "-p", f"cell:={CELL}",
         "-p", "autostart:=true", "-p", "raw_wrench:=true", "-p", "watch.wrench_timeout:=0.5", "-p", "watch.joints_timeout:=0.5",
+        "-p", "watch.age_limit:=0.5",
     ], name="correction")  # fmt: skip
     made = Cell()
     yield made

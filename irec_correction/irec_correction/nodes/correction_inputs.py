@@ -12,6 +12,7 @@ from irec_calibration.typing import Array
 from sensor_msgs.msg import JointState
 
 from ..correction import Correction
+from ..input_quality import InputQuality
 from ..link_angles import LinkAngles
 from ..orientations import Orientations
 from ..watchdog import Fault, Finding
@@ -24,11 +25,11 @@ class CorrectionInputs:
     def __init__(
         self, correction: Correction, names: Sequence[str], clock: ChainClock, rail_joint: str,
         orientations: Orientations | None = None, links: LinkAngles | None = None, *,
-        rail_needed: bool = False, strangers: Callable[[Sequence[str]], None] | None = None,
+        rail_needed: bool = False, strangers: Callable[[Sequence[str]], None] | None = None, quality: InputQuality | None = None,
     ) -> None:  # fmt: skip
         """names: of the robot's joints in joint_states, from base to tool; rail_joint: of the rail there; rail_needed: the cell
-        has one. strangers: is told names of joint states without any joint of this robot."""
-        self._rail_needed, self._strangers = rail_needed, strangers
+        has one. strangers: is told names of joint states without any joint of this robot. quality: None: is not looked at."""
+        self._rail_needed, self._strangers, self._quality = rail_needed, strangers, quality
         self._links = links
         self._correction, self._clock, self._orientations = correction, clock, orientations
         self._wanted, self._rail_joint = tuple(names), rail_joint
@@ -44,6 +45,8 @@ class CorrectionInputs:
         stamp = self._clock.of(message.header.stamp)
         now = self._clock.now(stamp)
         reading = np.array([f.x, f.y, f.z, t.x, t.y, t.z])
+        if self._quality is not None:
+            self._quality.take("wrench", stamp, now)
         self._correction.take_wrench(stamp, now, message.header.frame_id, reading)
         if self._orientations is not None and np.all(np.isfinite(reading)):
             self._orientations.take_wrench(stamp, reading)
@@ -67,6 +70,8 @@ class CorrectionInputs:
         if self._rail is not None:
             rail = message.position[self._rail] if self._rail < given else math.nan  # named, but without a position
         now = self._clock.now(stamp)
+        if self._quality is not None:
+            self._quality.take("joint_states", stamp, now)
         self._correction.take_joints(stamp, now, q, rail)
         if self._links is not None and q.shape == (len(self._wanted),) and np.isfinite(q).all():
             self._pass_on(self._links.take_motor(stamp, q))

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
+from dataclasses import replace
 
 from geometry_msgs.msg import WrenchStamped
 from irec_calibration.cell import Cell, read_cell
@@ -27,6 +29,7 @@ from ..conditioning import Conditioner, make_filters, sensor_in_tool
 from ..correction import Correction
 from ..errors import ActivationError, SettingsError
 from ..filters import delay_cost
+from ..input_quality import InputQuality
 from ..orientations import Orientations
 from ..realtime import settle_memory
 from ..state import State
@@ -145,7 +148,11 @@ class CorrectionNode(Managed):
         filters = make_filters(parameters.filter_settings(p, robot.joint_names))
         where = sensor_in_tool(robot, frame) if raw else None
         conditioner = Conditioner(filters, where, parameters.tool_load(p), parameters.cable(p), gravity)
+        self._chain_clock = ChainClock(self)
         settings = parameters.correction_settings(p, frame, p["start_load"])
+        if self._chain_clock.simulated:  # it may run faster than this machine passes messages on
+            settings = replace(settings, watchdog=replace(settings.watchdog, age_limit=math.inf))
+        self._quality = None if self._chain_clock.simulated else InputQuality({"wrench": p["wrench_rate"], "joint_states": 0.0})
         rail = recorded_rail = str(p["rail_joint"])
         names = robot.joint_names
         if axes is not None:  # the cell file knows how the driver names them
@@ -155,7 +162,6 @@ class CorrectionNode(Managed):
         self._robot, self._period = robot, settings.period
         self._mounted = Mounted(robot, serial, tool, gravity, payload, settings.period, p["predicted_limit"],
                                 settings.need_envelope, recorded_rail.removeprefix("ext_"))  # fmt: skip
-        self._chain_clock = ChainClock(self)
         self._correction = Correction(settings, robot, conditioner, parameters.rail_range(cell))
         self._correction.preview = parameters.preview(p, robot)
         encoders = parameters.links(p, robot)
@@ -172,6 +178,7 @@ class CorrectionNode(Managed):
         self._inputs = CorrectionInputs(
             self._correction, names, self._chain_clock, rail, self._orientations, encoders[1] if encoders else None,
             rail_needed=cell is not None and cell.rail is not None, strangers=self._watch.senders.saw_strangers,
+            quality=self._quality,
         )  # fmt: skip
         self.entities += [*self._outputs.entities, *self._watch.entities]
         self._last_tick = -1.0
@@ -328,7 +335,10 @@ class CorrectionNode(Managed):
     def _on_second(self) -> None:
         if self._correction is None:
             return
-        self._outputs.publish_diagnostics("; ".join(f"{where}: {text}" for where, text in self.errors.items()))
+        notes = [f"{where}: {text}" for where, text in self.errors.items()]
+        if self._quality is not None:
+            notes += self._quality.cautions(self._chain_clock.now())
+        self._outputs.publish_diagnostics("; ".join(notes))
 
 
 def _wrench_topic(raw: bool) -> str:
