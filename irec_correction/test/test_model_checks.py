@@ -29,6 +29,7 @@ MOUNTED = Mounted(ROBOT, "S-1", "roller", (0.0, 0.0, -9.81), None, PERIOD)
 
 def written(folder: Path, change=lambda data: None) -> Path:
     """The model of the tests as a file, changed."""
+    (folder / "model.yaml").unlink(missing_ok=True)  # what is no model any more is not replaced by one
     path = save_model(replace(model(), tool="roller"), folder / "model.yaml")
     data = yaml.safe_load(path.read_text())
     change(data)
@@ -250,3 +251,38 @@ def _places(data: object):
     for key, value in list(items):
         yield data, key
         yield from _places(value)
+
+
+def test_a_model_as_it_was_written_has_no_doubts_and_its_tool_may_be_named_by_hand(tmp_path):
+    assert read_checked(written(tmp_path), MOUNTED).doubts == ()
+    assert read_checked(written(tmp_path, put("roller", "robot", "tool")), MOUNTED).doubts == ()
+
+
+def without_digest(data: dict) -> None:
+    """As a model of an older version."""
+    del data["values_sha256"]
+
+
+@pytest.mark.parametrize(
+    "change", [every_compliance(3.0), put([3.1] * 6, "envelope", "q_upper"), put(1100.0, "envelope", "force")]
+)  # fmt: skip
+def test_values_that_were_changed_by_hand_are_told(tmp_path, change):
+    checked = read_checked(written(tmp_path, change), MOUNTED)
+    assert "were changed by hand after the file was written" in checked.doubts[0] and checked.doubts[0] in checked.caution
+
+    def as_of_old(data: dict) -> None:
+        change(data)
+        without_digest(data)
+
+    assert "changed by hand" not in read_checked(written(tmp_path, as_of_old), MOUNTED).caution
+
+
+def test_a_model_that_corrects_nothing_and_one_that_reaches_beyond_the_joints_are_told(tmp_path):
+    nothing = model(0.0)
+    bending = nothing.terms[1]
+    stiff = replace(bending, estimates={n: replace(e, value=0.0) for n, e in bending.estimates.items()})
+    path = save_model(replace(nothing, tool="roller", terms=(nothing.terms[0], stiff)), tmp_path / "zero.yaml")
+    assert read_checked(path, MOUNTED).doubts == ("all its compliances are 0: it corrects nothing",)
+    wide = replace(model(), tool="roller", envelope=Envelope((-6.2,) * 6, (6.2,) * 6, 1200.0))
+    doubts = read_checked(save_model(wide, tmp_path / "wide.yaml"), MOUNTED).doubts
+    assert "its envelope of joint_2 is -6.200 .. 6.200 rad, the joint can be at" in " ".join(doubts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import math
 import os
 from dataclasses import asdict
@@ -47,6 +48,7 @@ def save_model(model: Model, path: str | Path) -> Path:
             item["formula"] = term.effect.formula
     if model.envelope is not None:
         data["envelope"] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(model.envelope).items()}
+    data["values_sha256"] = _values_sha256(data)
     if model.history:
         data["history"] = list(model.history)
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
@@ -65,6 +67,12 @@ def save_model(model: Model, path: str | Path) -> Path:
 def check_model_target(path: str | Path) -> Path:
     """The path of a model that may be written. ModelError: what is there is something else."""
     return check_replaceable(path, "a model", (of_format(FORMAT),), ModelError)
+
+
+def _values_sha256(data: Any) -> str:
+    """Of what a correction follows: effects with their parameters, and the envelope. Name and note may be written by hand."""
+    values = {key: data.get(key) for key in ("effects", "envelope")}
+    return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def _entry(e: Estimate) -> dict[str, Any]:
@@ -115,6 +123,7 @@ def load_model(path: str | Path) -> Model:
             for c in data.get("known_only_in_combination") or ()
         ),
         history=tuple(data.get("history") or ()),
+        edited=bool(data.get("values_sha256")) and data["values_sha256"] != _values_sha256(data),
     )
 
 

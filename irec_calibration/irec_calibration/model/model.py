@@ -63,6 +63,7 @@ class Model:
         made: how it was made: session, solver, version, date, parent.
         figures: what it earned: fit_rms_m, cv_rms_m, noise_floor_m, rank, ...
         combinations: sums that are known of parameters which are not known singly.
+        edited: the file that it was read from has other values than were written there.
     """
 
     terms: tuple[Term, ...]
@@ -75,6 +76,7 @@ class Model:
     figures: Json = field(default_factory=dict)
     combinations: tuple[Combination, ...] = ()
     history: tuple[Json, ...] = ()
+    edited: bool = False
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from .term import Term
 # m; ten times the largest deviation of the paper's robots (2.05 mm): a wrong unit is beyond it, a soft robot is not
 LARGEST_OFFSET = 0.02
 LARGEST_FORCE, LARGEST_TORQUE = 1e5, 1e5  # N, N m; of a load that an envelope can speak of
+BEYOND = 0.02  # rad by which measured angles may be beyond the limits of the robot description
 ELASTIC_UNITS = ("rad/(N m)", "m/N", "rad/N", "1/N")
 
 
@@ -33,9 +34,11 @@ class Plausible:
 
     Attributes:
         largest_offset: over its envelope, under the largest load that it was identified with in any direction, m.
+        doubts: what somebody should look at, a sentence each.
     """
 
     largest_offset: float
+    doubts: tuple[str, ...] = ()
 
 
 def check_plausible(
@@ -66,9 +69,29 @@ def check_plausible(
     if model.envelope is None:
         if need_envelope:
             raise ModelError("the model does not say in which range it was identified ('envelope'); identify it again")
-        return Plausible(math.nan)
+        return Plausible(math.nan, doubts_of(model, robot))
     check_envelope(model.envelope, robot)
-    return Plausible(largest_prediction(model.envelope, robot, predict, largest_offset))
+    return Plausible(largest_prediction(model.envelope, robot, predict, largest_offset), doubts_of(model, robot))
+
+
+def doubts_of(model: Model, robot: Robot) -> tuple[str, ...]:
+    """What is possible and yet seldom what was meant: values that were changed in the file, none at all, a range beyond the
+    limits of the joints."""
+    doubts = []
+    if model.edited:
+        doubts.append("its effects or envelope were changed by hand after the file was written: no session stands behind them")
+    elastic = [e.value for t in model.terms if t.effect.elastic for e in t.estimates.values()]
+    if elastic and not any(elastic):
+        doubts.append("all its compliances are 0: it corrects nothing")
+    if model.envelope is not None:
+        ends = zip(model.envelope.q_lower, model.envelope.q_upper, robot.lower, robot.upper, strict=True)
+        for k, (low, high, least, most) in enumerate(ends, 1):
+            if low < least - BEYOND or high > most + BEYOND:
+                doubts.append(
+                    f"its envelope of joint_{k} is {low:.3f} .. {high:.3f} rad, the joint can be at {least:.3f} .. {most:.3f}"
+                    " rad: no session can have been measured there"
+                )
+    return tuple(doubts)
 
 
 def check_identity(model: Model, robot: Robot, serial: str, tool: str = "") -> None:

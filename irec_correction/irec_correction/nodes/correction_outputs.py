@@ -101,6 +101,7 @@ class CorrectionOutputs:
 
     def publish_diagnostics(self, errors: str) -> None:
         """State, reason and counters. Args: errors: that no check has foreseen, since the last activation."""
-        changed = self.in_force.changed() if self.in_force is not None else ""
-        note = "; ".join(t for t in (errors, changed) if t)
+        model = self.in_force
+        about = [] if model is None else [model.changed(), *(f"model {model.path}: {doubt}" for doubt in model.doubts)]
+        note = "; ".join(t for t in (errors, *about) if t)
         self._diagnostics.publish(correction_status(self._node, self._serial, self._correction, note))

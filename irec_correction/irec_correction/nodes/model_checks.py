@@ -55,7 +55,7 @@ class CheckedModel:
 
     Attributes:
         sha256, modified: of its file, when it was read. largest_offset: that it predicts within its envelope, m.
-        spent: time of an evaluation, s.
+        spent: time of an evaluation, s. doubts: about its values, a sentence each.
     """
 
     path: Path
@@ -65,11 +65,12 @@ class CheckedModel:
     modified: float
     largest_offset: float
     spent: float
+    doubts: tuple[str, ...] = ()
 
     @property
     def caution(self) -> str:
-        """What its file says is to be thought of before it is used; empty where nothing."""
-        return str(self.model.made.get("caution") or "")
+        """What is to be thought of before it is used, by its file and by its values; empty where nothing."""
+        return "; ".join(t for t in (*self.doubts, str(self.model.made.get("caution") or "")) if t)
 
     def changed(self) -> str:
         """What has become of the file since, empty where nothing."""
@@ -141,7 +142,7 @@ def _read_checked(path: Path, mounted: Mounted) -> CheckedModel:
             tool=m.tool, largest_offset=m.largest_offset, need_envelope=m.need_envelope,
         )  # fmt: skip
     spent = _affordable(deflection, m.period)
-    return CheckedModel(path, model, deflection, digest, found.st_mtime, plausible.largest_offset, spent)
+    return CheckedModel(path, model, deflection, digest, found.st_mtime, plausible.largest_offset, spent, plausible.doubts)
 
 
 def _affordable(deflection: Deflection, period: float) -> float:
