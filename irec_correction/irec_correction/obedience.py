@@ -22,8 +22,8 @@ CLOCK = 0.5  # s: a stamp that is further from now is not believed, the report t
 class Obedience:
     """Offsets that were sent, and the reports about them. Times in s on one clock; vectors (3,), m, in base_link."""
 
-    def __init__(self, latency: float = LATENCY) -> None:
-        self._latency = latency
+    def __init__(self, latency: float = LATENCY, lasts: float = LASTS) -> None:
+        self._latency, self._lasts = latency, lasts
         self._sent: deque[tuple[float, Array]] = deque()
         self._differs_since: float | None = None
 
@@ -56,7 +56,7 @@ class Obedience:
         if self._differs_since is None or now < self._differs_since:
             self._differs_since = now
         lasted = now - self._differs_since
-        if lasted < LASTS:
+        if lasted < self._lasts:
             return ""
         last = sent[-1]
         return (

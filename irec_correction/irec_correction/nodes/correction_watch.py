@@ -25,7 +25,8 @@ from .offset_topics import OffsetTopics, refusal
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 LOOK = 0.02  # s between two looks for others that send an offset
 NOBODY = 5.0  # s of correction without a message on robot/state: its driver reports nothing
-BEHIND = 0.3  # s that a simulated cell may be ahead of this node
+# s of simulated time, which a busy machine may not follow: a cell is ahead of this node; it fades, as offsets come late
+BEHIND, SIMULATED_LASTS = 0.3, 5.0
 
 
 class CorrectionWatch:
@@ -42,7 +43,7 @@ class CorrectionWatch:
         """alone: inputs, beside joint_states, that one node may publish. reports: irec/offset is sent."""
         self._node, self._correction, self._clock, self._offsets, self._reports = node, correction, clock, offsets, reports
         self._looked = -1.0
-        self._obedience = Obedience(LATENCY + (BEHIND if clock.simulated else 0.0))
+        self._obedience = Obedience(LATENCY + BEHIND, SIMULATED_LASTS) if clock.simulated else Obedience()
         self._heard = self._told = False
         self._began: float | None = None
 
