@@ -127,7 +127,8 @@ def test_the_commands_of_the_tutorial_run_in_their_order(tmp_path, monkeypatch, 
 
 
 def test_messages_that_the_troubleshooting_page_quotes_are_those_of_the_code():
-    code = "".join(p.read_text(encoding="utf-8") for p in (ROOT / "irec_calibration" / "irec_calibration").rglob("*.py"))
+    folders = (ROOT / package / package for package in ("irec_calibration", "irec_correction"))
+    code = "".join(p.read_text(encoding="utf-8") for folder in folders for p in folder.rglob("*.py"))
     flat = re.sub(r"\"\s*\n\s*f?\"", "", code)
     rows = re.findall(r"^\| `([^`]+)` \|", (DOCS / "troubleshooting.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert len(rows) > 10
