@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -19,7 +21,9 @@ from irec_msgs.msg import RobotState
 from ..errors import RecordingError
 from ..procedure.inputs import Inputs
 from ..procedure.recorder import SessionRecorder
+from ..typing import Array
 
+RAW_READINGS, RAW_AGE = 12, 0.5  # of wrench_raw that are averaged, decoded only when asked for; s, the oldest of them
 FOLLOW_EVERY = 2  # wrenches
 QUEUE_DEPTH = 5000  # messages; a node that is held up for seconds loses nothing of a recording
 TYPES = {
@@ -51,15 +55,28 @@ class Instruments:
         self._channels: dict[str, int] = {}
         self._types: dict[str, str] = {}
         self._wrenches = 0
+        self._raw: deque[bytes] = deque(maxlen=RAW_READINGS)
         # a simulated cell that runs faster than real time waits for those who tell it how far they are
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._follower = node.create_publisher(Header, "sim/follower", 10) if simulated else None
+        self._raw_topic = node.resolve_topic_name("wrench_raw")
         self._subscribe("joint_states", JointState, self._joints)
         self._subscribe("tcp_pose", PoseStamped, self._tcp)
         self._subscribe("wrench", WrenchStamped, self._wrench)
         self._subscribe("wrench_raw", WrenchStamped, None)
         self._subscribe("tracker/point", PointStamped, self._marker if "marker" in inputs.streams.needed else None)
         self._subscribe("robot/state", RobotState, lambda _, m: self._on_robot_state(m))
+
+    def raw_force(self, frame: str) -> Array | None:
+        """Mean of the newest readings of wrench_raw, (3,), N; None where fewer came, they are old, or are not in this frame."""
+        now = 1e-9 * self._node.get_clock().now().nanoseconds
+        if len(self._raw) < RAW_READINGS:
+            return None
+        readings = [deserialize_message(data, WrenchStamped) for data in self._raw]
+        if any(m.header.frame_id != frame or abs(now - _seconds(m)) > RAW_AGE for m in readings):
+            return None
+        force = np.array([[m.wrench.force.x, m.wrench.force.y, m.wrench.force.z] for m in readings]).mean(axis=0)
+        return force if np.isfinite(force).all() else None
 
     def find_temperatures(self) -> None:
         """Subscribe to every temperature/<name> that has appeared."""
@@ -97,6 +114,8 @@ class Instruments:
         now = self._node.get_clock().now().nanoseconds
         if topic in self._channels:
             self.record(lambda recorder: recorder.write_raw(self._channels[topic], data, now))
+        if topic == self._raw_topic:
+            self._raw.append(data)
         if handle is not None:
             handle(1e-9 * now, deserialize_message(data, kind))
 

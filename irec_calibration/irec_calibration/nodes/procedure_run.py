@@ -60,7 +60,8 @@ class ProcedureRun:
             targets, cell.forces_in_tool, cell.home, settings, instruments.inputs.streams,
             {station.name: station.R_in_cell for station in cell.stations},
             repeats=int(request.repeats), done=frozenset(self.recorder.done), seed=self.recorder.order_seed,
-            plausibility=Plausibility(cell), simulated=simulated,
+            plausibility=Plausibility(cell, partial(instruments.raw_force, cell.raw["force_sensor"]["frame"])),
+            simulated=simulated,
         )  # fmt: skip
         done = self.recorder.done
         where = f"going on after {len(done)} complete poses" if done else "from the beginning"

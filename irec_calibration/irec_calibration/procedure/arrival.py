@@ -33,6 +33,7 @@ TOUCH_WINDOW = 0.04  # s, likewise where it is to be known at once
 TOUCH_N, TOUCH_SHARE = 20.0, 0.15  # N and share of the normal force: more out of contact is no noise
 SEEN_TO_MOVE = 1e-4  # m, of the TCP
 WAY_OUT = 0.5  # share of the force that has to act along the tool for the way out to be known
+SPEED_WINDOW, SPEED_SHARE, SPEED_MARGIN = 0.1, 1.5, 0.02  # s; share of the speed asked for, and m/s on top, that a move may have
 LEASE_GRACE = 0.3  # s after an answer in which robot/state may still be of before
 
 
@@ -238,6 +239,19 @@ def touches_on_the_way(p: Procedure) -> str:
         f"the tool touches the tooling before the reference: the wrench reads {newtons(read[int(sizes.argmax())])} N, limit"
         f" {touch_limit(p):.0f} N, and {newtons(p.force_unloaded)} N in free air; the tooling stands nearer than the"
         " cell file says"
+    )
+
+
+def too_fast(p: Procedure) -> str:
+    """Why the straight move under way is to be cancelled: it is driven far faster than was asked for. Empty: it is not."""
+    if not p.moving or not isinstance(p.goal, MoveLinear):
+        return ""
+    speed, limit = p.streams.tcp_speed(SPEED_WINDOW), SPEED_SHARE * p.goal.speed + SPEED_MARGIN
+    if speed <= limit:
+        return ""
+    return (
+        f"the robot is driven at {1e3 * speed:.0f} mm/s by tcp_pose on a straight move for which {1e3 * p.goal.speed:g} mm/s was"
+        f" asked, limit {1e3 * limit:.0f} mm/s: does the driver take the speed of the goal, in m/s?"
     )
 
 

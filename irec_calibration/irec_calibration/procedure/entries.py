@@ -111,7 +111,8 @@ def _standing_problem(p: Procedure) -> str:
         return ""  # one of them has stopped: the watch over silence says which
     seen = marker is not None and marker[0] > max(p.streams.newest().values()) - SAME_TIME
     place = marker[1:] if marker is not None and seen else (None, "")
-    return p.plausibility.problem(_standing(p, joints, tcp[0], tcp[1], *place))
+    standing = _standing(p, joints, tcp[0], tcp[1], *place)
+    return p.plausibility.problem(standing) or p.plausibility.weight_problem(standing.R_tool)
 
 
 def _standing(p: Procedure, joints: Array, p_tcp: Array, quat: Array, p_marker: Array | None, station: str) -> Standing:

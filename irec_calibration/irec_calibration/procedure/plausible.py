@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import permutations, product
 
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ..cell import Cell
 from ..typing import Array
+from .weighing import Scale
 
 TCP_TOLERANCE = 5e-3  # m between forward kinematics and tcp_pose; a controller with measured geometry differs by less
 TURN_TOLERANCE = 0.02  # rad, likewise
@@ -39,13 +41,19 @@ class Standing:
 class Plausibility:
     """Judges one standing robot after the other in one cell."""
 
-    def __init__(self, cell: Cell) -> None:
-        self._cell = cell
+    def __init__(self, cell: Cell, raw_force: Callable[[], Array | None] = lambda: None) -> None:
+        """raw_force: newest mean of the raw force sensor in its frame, (3,), N; None where it does not come."""
+        self._cell, self._raw_force, self._scale = cell, raw_force, Scale(cell)
         self._last: tuple[Array, Array, str] | None = None  # marker by TCP and by tracker in the cell, station
 
     def problem(self, s: Standing) -> str:
         """What does not agree with what, in a sentence; empty where all agrees."""
         return self.kinematics_problem(s) or self.marker_problem(s)
+
+    def weight_problem(self, R_tool: Array) -> str:
+        """Scale of the force sensor, by the tool's weight in this orientation and those before; in free air. R_tool: (3, 3)."""
+        raw = self._raw_force()
+        return "" if raw is None else self._scale.problem(R_tool, raw)
 
     def kinematics_problem(self, s: Standing) -> str:
         """Forward kinematics of the joint angles against tcp_pose."""

@@ -137,6 +137,14 @@ class Streams:
         """Latest TCP, (3,), m, and quaternion of tool0, (4,), in base_link."""
         return (np.array(self._tcp[-1][1:4]), np.array(self._tcp[-1][4:8])) if self._tcp else None
 
+    def tcp_speed(self, length_s: float) -> float:
+        """Of the TCP over the newest length_s, m/s: the median of its steps, which one wrong pose does not change; 0 where
+        there are fewer than LEAST_SAMPLES."""
+        rows = _rows(self._tcp, self._tcp[-1][0] - length_s) if self._tcp else np.empty((0, 8))
+        if len(rows) < LEAST_SAMPLES:
+            return 0.0
+        return float(np.median(np.linalg.norm(np.diff(rows[:, 1:4], axis=0), axis=1) / np.maximum(np.diff(rows[:, 0]), 1e-6)))
+
     @property
     def newest_joints(self) -> Array | None:
         """Latest joints and external axes in the order of `names`."""

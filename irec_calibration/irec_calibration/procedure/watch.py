@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .arrival import force_rises, touches_on_the_way
+from .arrival import force_rises, too_fast, touches_on_the_way
 from .pressing import MODE_GRACE, PressingWatch
 from .table import PRESSING, WAY_IN, WAY_OUT
 
@@ -71,6 +71,9 @@ class Watch:
             return
         if p.state in WAY_IN and (reason := touches_on_the_way(p)):
             p.fail(reason)
+            return
+        if reason := too_fast(p):
+            p.stop(reason)
             return
         reason = self._clock() or self._silence(steady) or self._force() or self._robot_state() or self._pressing.problem()
         if reason:

@@ -16,8 +16,8 @@ from irec_calibration.driver_check.observed import Answer, Item, Observation, St
 from irec_calibration.driver_check.offset import Offsets, judge_offset
 from irec_calibration.driver_check.passive import judge_passive
 from irec_calibration.driver_check.pressing import Pressing, judge_pressing
-from irec_calibration.driver_check.weighing import mass_verdict, sensor_in_tool, stated_mass, weigh
 from irec_calibration.procedure.axes import read_axes
+from irec_calibration.procedure.weighing import mass_verdict, sensor_in_tool, stated_mass, weigh
 from irec_calibration.robot import Payload, Robot
 from scipy.spatial.transform import Rotation
 

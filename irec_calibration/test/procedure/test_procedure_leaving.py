@@ -197,6 +197,40 @@ def test_where_the_approach_pose_is_nearer_than_that_all_of_the_way_is_slow() ->
     assert robot.procedure.counts.complete == 1
 
 
+def driven(speed: float, state: str) -> FakeRobot:
+    """A robot that goes on at this speed, m/s, on a straight move that takes a second."""
+    robot = FakeRobot(1).start().run(stop_when=state)
+    for _ in range(30):
+        robot.tcp = robot.tcp + [0.0, 0.0, 0.01 * speed]
+        if robot.procedure.state == state:
+            robot.tick()
+    return robot
+
+
+@pytest.mark.parametrize(("speed", "state", "asked"), [(1.0, "advance", "100"), (0.05, "near", "3")])
+def test_a_straight_move_far_faster_than_was_asked_for_ends_the_run(speed: float, state: str, asked: str) -> None:
+    robot = driven(speed, state)
+    assert any(isinstance(c, CancelMove) for c in robot.commands)
+    told = robot.procedure.stopped_because
+    assert f"mm/s by tcp_pose on a straight move for which {asked} mm/s was asked" in told
+
+
+@pytest.mark.parametrize(("speed", "state"), [(0.12, "advance"), (0.01, "near")])
+def test_a_straight_move_of_about_the_speed_asked_for_is_none_of_these(speed: float, state: str) -> None:
+    assert not driven(speed, state).procedure.stopped_because
+
+
+def test_one_wrong_pose_is_no_speed() -> None:
+    robot = FakeRobot(1).start().run(stop_when="near")
+    for _ in range(20):
+        robot.tick()
+    robot.tcp = robot.tcp + [0.01, 0.0, 0.0]
+    robot.tick()
+    robot.tcp = robot.tcp - [0.01, 0.0, 0.0]
+    robot.run()
+    assert robot.procedure.counts.complete == 1
+
+
 # --- what a run finds ---------------------------------------------------------------------------------------------------------
 
 

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from irec_calibration.cell import read_cell
+from irec_calibration.cell import Cell, read_cell
 from irec_calibration.procedure.arrival import joint_problem, tcp_problem
 from irec_calibration.procedure.commands import MoveLinear
 from irec_calibration.procedure.plausible import Plausibility, Standing, what_is_read
+from irec_calibration.procedure.weighing import sensor_in_tool
+from irec_calibration.robot import Robot
 from scipy.spatial.transform import Rotation
 
 CELL = read_cell(Path(__file__).parents[3] / "config" / "cells" / "afp.yaml")
@@ -103,3 +105,51 @@ def test_the_end_of_a_straight_move_is_held_against_tcp_pose() -> None:
 )
 def test_what_turns_the_force_asked_for_into_the_one_that_is_read_is_told(read: list[float], message: str) -> None:
     assert message in what_is_read(np.array([280.0, 0.0, -1100.0]), np.array(read))
+
+
+# --- the scale of the force sensor ----------------------------------------------------------------------------------------------
+
+TURNED = [np.array([0.0, 0.0, 0.0, 0.0, a, b]) for a, b in ((0.0, 0.0), (0.4, 0.0), (-0.5, 0.3), (0.1, -0.8), (0.6, 0.2))]
+SENSOR = sensor_in_tool(CELL.robot, "ft_sensor")
+
+
+def run_of(gain: float, mass: float = 120.0, noise: float = 1.0, cell: Cell = CELL, zeroed: bool = False) -> str:
+    """What is told over five places; zeroed: the sensor's bias is set anew at each."""
+    rng = np.random.default_rng(2)
+    raw = np.zeros(3)
+    judge = Plausibility(cell, lambda: raw)
+    for turn in TURNED:
+        R = CELL.robot.kinematics((CELL.home + turn)[None]).R_tool[0]
+        weight = np.zeros(3) if zeroed else SENSOR.T @ R.T @ [0.0, 0.0, -9.81 * mass] + [18.0, -11.0, 25.0]
+        raw = gain * (weight + rng.normal(0.0, noise, 3))
+        if problem := judge.weight_problem(R):
+            return problem
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("gain", "likely"),
+    [(0.2248, "pounds (lbf)"), (0.102, "kilograms (kgf)"), (0.5, "gain seems to be 0.5"), (2.0, "gain seems to be 2"),
+     (4.448, "N that were taken for pounds")],
+)  # fmt: skip
+def test_a_force_sensor_of_another_scale_is_told_from_the_weight_of_the_tool(gain: float, likely: str) -> None:
+    told = run_of(gain)
+    assert "kg of tool (wrench_raw in" in told and "120 kg are stated" in told and likely in told
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.0, 1.3])
+def test_a_sensor_of_about_the_right_scale_is_believed(gain: float) -> None:
+    assert not run_of(gain)
+
+
+def test_what_is_not_known_well_is_not_told() -> None:
+    assert not run_of(1.0, zeroed=True), "a sensor that is set to zero at each place weighs nothing"
+    assert not run_of(0.2248, noise=300.0), "what does not turn with the tool is no weight"
+    assert not Plausibility(CELL).weight_problem(np.eye(3)), "wrench_raw does not come"
+    assert not run_of(0.2248, cell=replace(CELL, robot=Robot(CELL.robot.urdf_text.replace('value="120"', 'value="0"'))))
+
+
+def test_one_orientation_tells_nothing() -> None:
+    judge = Plausibility(CELL, lambda: np.array([0.0, 0.0, -260.0]))
+    R = CELL.robot.kinematics(CELL.home[None]).R_tool[0]
+    assert not any(judge.weight_problem(R) for _ in range(5))
