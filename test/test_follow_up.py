@@ -44,7 +44,7 @@ def planned(first: Path) -> Path:
 def test_what_a_session_does_not_tell_is_told_by_the_poses_that_are_planned_for_it(first: Path, planned: Path, tmp_path) -> None:
     before = verdict(first, tmp_path / "before")
     assert (before["status"], before["effects"]) == ("unexplained", [])
-    assert before["one_of"] == [["tool_compliance", "base_compliance", "rail_compliance"]]
+    assert before["one_of"] == [["tool_compliance", "base_compliance"]]
     later, both = tmp_path / "later", tmp_path / "both"
     assert irec_sim(["session", *ROBOT, "--seed", "3", "--at", str(planned), "-o", str(later)]) == 0
     assert irec(["join", str(first), str(later), "-o", str(both)]) == 0
@@ -58,7 +58,7 @@ def test_the_plan_says_what_it_is_expected_to_tell(first: Path, tmp_path, capsys
     path = tmp_path / "poses.yaml"
     assert irec(["plan", str(CELL), "--to-tell", str(first), "-n", "3", "-o", str(path), "--json"]) in (0, 1)
     told = json.loads(capsys.readouterr().out)["to_tell"]
-    assert [t["names"] for t in told] == [["tool_compliance", "base_compliance"], ["tool_compliance", "rail_compliance"]]
+    assert [t["names"] for t in told] == [["tool_compliance", "base_compliance"]]
     assert all(0.0 < t["chance"] < 1.0 for t in told)
     assert len(yaml.safe_load(path.read_text())["poses"]) == 3
 

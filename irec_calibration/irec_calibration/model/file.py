@@ -70,9 +70,14 @@ def check_model_target(path: str | Path) -> Path:
 
 
 def _values_sha256(data: Any) -> str:
-    """Of what a correction follows: effects with their parameters, and the envelope. Name and note may be written by hand."""
+    """Of what a correction follows: effects with their parameters, and the envelope. Name and note may be written by hand. Empty
+    where they have keys that are no words, as no model that was saved has."""
     values = {key: data.get(key) for key in ("effects", "envelope")}
-    return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()
+    try:
+        text = json.dumps(values, sort_keys=True, default=str)
+    except TypeError:
+        return ""
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _entry(e: Estimate) -> dict[str, Any]:
