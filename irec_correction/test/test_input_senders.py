@@ -42,6 +42,14 @@ def test_two_publishers_of_an_input_are_told_after_a_second_and_no_more_when_one
     assert graph.after(0.2) == ""
 
 
+def test_one_that_has_just_gone_keeps_nobody_from_starting():
+    graph = Graph()
+    graph.count["wrench"] = 2
+    assert graph.after(2.0 * GRACE) != ""
+    graph.count["wrench"] = 1
+    assert graph.senders.found_at_start(graph.sleep) == ""
+
+
 def test_a_publisher_that_is_started_anew_is_not_told():
     graph = Graph()
     for count in (1, 2, 1, 0, 1, 2, 1):

@@ -22,7 +22,7 @@ class InputSenders:
         self._others, self._alone, self._joints, self._clock = others, tuple(alone), joints, clock
         self._since: dict[str, float] = {}
         self._strangers: dict[tuple[str, ...], float] = {}
-        self._looked, self._found = -1.0, ""
+        self._looked, self._found = -LOOK, ""
 
     def saw_strangers(self, names: Sequence[str]) -> None:
         """Joint states without any joint of this robot came in: who sends them is no other sender of those of the robot."""
@@ -43,6 +43,7 @@ class InputSenders:
         while self._clock() < end and any(self._others(topic, 1) for topic in self._alone):
             sleep(LOOK)
         texts = [text for topic in self._alone if (text := self._others(topic, 1))]
+        self._looked = -LOOK  # what was found a moment ago may have gone since
         return "; ".join(texts) or self.found()
 
     def _lasting(self, topic: str, now: float) -> str:
