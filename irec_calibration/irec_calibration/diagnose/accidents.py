@@ -33,10 +33,8 @@ def accidents(study: Study, remainder: Remainder, settings: Settings) -> tuple[P
         return ()
     ground = Ground(study.bench, remainder.block)
     left = study.observation.whiten.undo(ground.residual.reshape(-1, 3))
-    x, at, out = study.bench.posterior(remainder.block).x, study.base.A.shape[1], []
-    for part in remainder.parts:
-        own = slice(at, at + part.structure.columns.stop - part.structure.columns.start)
-        at = own.stop
+    x, out = study.bench.posterior(remainder.block).x, []
+    for part, own in remainder.columns:
         if not part.structure.is_bad_row or part.log_evidence < settings.nats_of_accident or own.stop - own.start != 3:
             continue
         here = np.isin(study.observation.rows, part.structure.rows)

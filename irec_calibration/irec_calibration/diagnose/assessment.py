@@ -232,12 +232,9 @@ def _beside(one: Explanation, forms: bool = False) -> Block:
         lag = one.study.ready.kind == "absolute" and any("order" in t.effect.needs for t in one.added)
         law = any(t.effect.family is Alike.TORQUE_LAW for t in one.added)
         kept: list[int] = []
-        at = 0
-        for part in one.remainder.parts:
+        for part, here in one.remainder.columns:
             form = (lag and part.structure.by_step) or (law and part.structure.law_of is not None)
-            width = part.structure.columns.stop - part.structure.columns.start
-            kept += [] if form else columns[at : at + width]
-            at += width
+            kept += [] if form else range(here.start, here.stop)
         columns = kept
     return own.take(columns)
 

@@ -70,11 +70,8 @@ def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
     x = study.bench.posterior(block).x
     rest = [i for i, owner in enumerate(study.owners) if owner not in one.ids]
     ground = Ground(study.bench, study.base.take(rest))
-    at = study.base.A.shape[1]
     moved = []
-    for part in one.remainder.parts:
-        own = slice(at, at + part.structure.columns.stop - part.structure.columns.start)
-        at = own.stop
+    for part, own in one.remainder.columns:
         if not part.structure.is_bad_row:
             moved.append((part, ground.beside(block.A[:, own] @ x[own])))
     out = {}

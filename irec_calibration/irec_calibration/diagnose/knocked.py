@@ -54,11 +54,9 @@ def without_knocked(one: Explanation) -> Observation | None:
 def _beside_bad_rows(one: Explanation) -> tuple[Array, Array]:
     """What a model and its remainder leave without bad readings, (m, 3), m; evidence that each reading is one, (m,), nats."""
     study, block = one.study, one.remainder.block
-    x, at = study.bench.posterior(block).x, study.base.A.shape[1]
+    x = study.bench.posterior(block).x
     left, evidence = Ground(study.bench, block).residual.copy(), np.zeros(len(study.observation.rows))
-    for part in one.remainder.parts:
-        own = slice(at, at + part.structure.columns.stop - part.structure.columns.start)
-        at = own.stop
+    for part, own in one.remainder.columns:
         if part.structure.is_bad_row:
             left += block.A[:, own] @ x[own]
             evidence[np.isin(study.observation.rows, part.structure.rows)] += part.log_evidence

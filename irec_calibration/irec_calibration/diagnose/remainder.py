@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +57,15 @@ class Remainder:
     @property
     def gained(self) -> float:
         return sum(p.log_evidence for p in self.parts)
+
+    @property
+    def columns(self) -> Iterator[tuple[Part, slice]]:
+        """Each part, and which columns of the block are its own."""
+        at = self.own.start
+        for part in self.parts:
+            here = slice(at, at + part.structure.columns.stop - part.structure.columns.start)
+            yield part, here
+            at = here.stop
 
 
 def grow(
