@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from absolute_sessions import session
 from irec_calibration.diagnose import build, form_errors, shape, tries
+from irec_calibration.diagnose.remainder import Remainder
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
@@ -87,12 +88,13 @@ def test_what_repeats_many_times_per_turn_feigns_nothing_that_passes_with_time(
     monkeypatch: pytest.MonkeyPatch, effect_id: str, ripple: tuple[int, float] | None, feigned: float
 ) -> None:
     structure = SimpleNamespace(columns=slice(0, 1), is_bad_row=False, ripple=ripple)
-    part = SimpleNamespace(structure=structure, log_evidence=200.0)
+    part: Any = SimpleNamespace(structure=structure, log_evidence=200.0)
+    block: Any = SimpleNamespace(A=np.eye(2))
     base = SimpleNamespace(A=np.array([[1.0], [0.0]]), take=lambda columns: None)
     study = SimpleNamespace(
         bench=SimpleNamespace(posterior=lambda block: SimpleNamespace(x=np.ones(2))), owners=(effect_id,), base=base, ready=None
     )
-    remainder = SimpleNamespace(block=SimpleNamespace(A=np.eye(2)), parts=(part,))
+    remainder = Remainder((part,), log_evidence=200.0, block=block, own=slice(1, 2))
     one: Any = SimpleNamespace(
         ids=(effect_id,), study=study, remainder=remainder, term=lambda i: SimpleNamespace(effect=find_effect(i))
     )
