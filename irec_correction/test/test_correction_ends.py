@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from cell_side import CELL, START, CellSide, afp_model
 
-pytestmark = [pytest.mark.ros, pytest.mark.alone]
+pytestmark = [pytest.mark.ros, pytest.mark.paced]
 INACTIVE, ACTIVE, FADE, FAULT = 0, 2, 4, 5
 STEP = 0.02 * 0.004 * 3  # messages may be lost on the way here: three ticks at most between two
 ARGUMENTS = [

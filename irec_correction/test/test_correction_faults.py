@@ -13,7 +13,7 @@ import pytest
 import yaml
 from cell_side import CELL, CellSide, afp_model
 
-pytestmark = [pytest.mark.ros, pytest.mark.alone]
+pytestmark = [pytest.mark.ros, pytest.mark.paced]
 ACTIVE, FAULT = 2, 5
 SELDOM = 0.05  # s between two wrong messages
 STEP = 0.02 * 0.004 * 3  # messages may be lost on the way here: three ticks at most between two

@@ -14,7 +14,7 @@ from irec_calibration.cell import read_cell
 from irec_calibration.recertification.store import Store
 from irec_correction.deflection import Deflection
 
-pytestmark = [pytest.mark.ros, pytest.mark.alone]
+pytestmark = [pytest.mark.ros, pytest.mark.paced]
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cell_side import CELL, CellSide, afp_model
 
-pytestmark = [pytest.mark.ros, pytest.mark.alone]
+pytestmark = [pytest.mark.ros, pytest.mark.paced]
 INACTIVE, ACTIVE, FAULT = 0, 2, 5
 REPORT = 0.05  # s
 STEP = 0.02 * 0.004 * 3  # messages may be lost on the way here: three ticks at most between two

@@ -16,7 +16,7 @@ from irec_calibration.sensors.dry_drive import DryDriveTable
 from irec_correction.deflection import Deflection
 from irec_correction.links import Links
 
-pytestmark = [pytest.mark.ros, pytest.mark.alone]
+pytestmark = [pytest.mark.ros, pytest.mark.paced]
 WINDUP = np.array([1.0e-4, -2.5e-4, 3.0e-4, 2.0e-4, -4.0e-4, 5.0e-4])
 DRY = np.array([1e-5, 1.2e-3, -8e-4, 1e-4, 2e-4, 0.0])  # by gravity
 NAMES = [f"joint_{k}" for k in range(6, 0, -1)]  # another order than that of the robot
