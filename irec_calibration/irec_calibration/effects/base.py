@@ -188,6 +188,15 @@ class Effect(ABC):
         """
         return None
 
+    def by_torque(self, scene: Scene, theta: Array, change: Array) -> Array | None:
+        """What the displacement changes by where the torque of what no sensor reads does (`Scene.tau_unseen`), (n, 3, p), m; None
+        where an effect does not say: it is asked a small step beside then.
+
+        Args:
+            change: of that torque about the actuated axes by p parameters of what pulls at the arm, (n, k, p).
+        """
+        return None
+
     def standing(self, scene: Scene, theta: Array) -> Scene:
         """For `moves_joints`: the scene with the arm as it stands by these values, (p,).
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..typing import Array
+from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .live import ElasticLaw, LiveForm, Tick
 from .scales import typical_compliance
@@ -20,6 +20,7 @@ SAME_LOAD = 0.05  # without memory the clock starts anew where the elastic defle
 APART_OR_NOT = (0.0, 1.0, 2.0)
 CARRIED = 1.5  # `apart` from which gears keep from pose to pose what they have crept
 SHORTEST = 0.05  # s, time constant at least
+LARGEST_EXPONENT = 300.0  # of what is summed up, far below where numbers end
 APART = 5.0  # factor between three time constants where `spread` is 1
 
 
@@ -106,12 +107,7 @@ class Creep(Effect):
                 before = crept[scene.previous[rows]]
                 crept[rows] = before + (v[rows] - before) * reached[rows]
             return crept
-        u = scene.response.displacement
-        since, applied = np.array(scene.load_since), u.copy()
-        for i in np.lexsort((scene.load_case, scene.stamp)):
-            before = scene.previous[i]
-            if before >= 0 and not _changed(u[i], applied[before]):
-                since[i], applied[i] = since[before], applied[before]
+        since = _same_load_since(scene)
         return np.asarray(v * (1.0 - np.exp(-np.maximum(scene.stamp - since, 0.0) / T)).reshape(along))
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
@@ -128,11 +124,28 @@ def _carried(scene: Scene, T: float) -> Array:
     when all is done. By what the weight still does the tool moves between reference and row too; the live correction, which knows
     no reference, leaves that out."""
     tau = scene.tau + scene.tau_gravity
-    out, order = tau.copy(), np.lexsort((scene.load_case, scene.stamp))
-    kept = np.exp(-np.diff(scene.stamp[order]) / T)
-    for last, row, share in zip(order, order[1:], kept, strict=False):
-        out[row] += share * (out[last] - tau[row])
+    order = np.lexsort((scene.load_case, scene.stamp))
+    out = np.empty_like(tau)
+    out[order] = _lagged(tau[order], scene.stamp[order] / T)
     return np.asarray(out - scene.tau_gravity)
+
+
+def _lagged(x: Array, t: Array) -> Array:
+    """What each column of x (n, k), which are held from one row to the next, has become at the times t (n,) behind a lag of 1.
+
+    y_i = x_i + (y_{i-1} - x_i) exp(t_{i-1} - t_i), summed up in stretches that are short enough for exp.
+    """
+    y, taken = np.empty_like(x), -np.expm1(-np.diff(t, prepend=-np.inf))
+    begin = 0
+    while begin < len(t):
+        end = int(np.searchsorted(t, t[begin] + LARGEST_EXPONENT, side="right"))
+        grown = np.exp(t[begin:end] - t[begin])
+        y[begin:end] = np.cumsum((taken[begin:end] * grown)[:, None] * x[begin:end], axis=0)
+        if begin:
+            y[begin:end] += np.exp(t[begin - 1] - t[begin]) * y[begin - 1]
+        y[begin:end] /= grown[:, None]
+        begin = end
+    return y
 
 
 def _linear(theta: Array) -> Array:
@@ -146,11 +159,25 @@ def _shortest_seen(scene: Scene) -> float:
     return max(0.5 * scene.rows.short_dwell, SHORTEST)
 
 
-def _changed(u: Array, applied: Array) -> bool:
-    """Whether the load is another one than that from which the clock runs."""
-    difference = u - applied
-    limit = SAME_LOAD**2 * max(float(u @ u), float(applied @ applied))
-    return float(difference @ difference) > limit
+def _changed(u: Array, applied: Array) -> BoolArray:
+    """Whether the load is another one than that from which the clock runs, by what it does, (..., 3) -> (...)."""
+    return np.asarray(_squared(u - applied) > SAME_LOAD**2 * np.maximum(_squared(u), _squared(applied)))
+
+
+def _squared(v: Array) -> Array:
+    return np.asarray((v * v).sum(axis=-1))
+
+
+def _same_load_since(scene: Scene) -> Array:
+    """The stamp from which the load of each row has acted, rows before with the same load counted, (n,), s."""
+    u = scene.response.displacement
+    since, applied = np.array(scene.load_since), u.copy()
+    for rows in scene.rows.in_turn[1:]:
+        before = scene.previous[rows]
+        same = ~_changed(u[rows], applied[before])
+        since[rows] = np.where(same, since[before], since[rows])
+        applied[rows] = np.where(same[:, None], applied[before], applied[rows])
+    return since
 
 
 def time_constants(T: float, spread: float) -> list[float]:

@@ -59,8 +59,16 @@ class JointBacklash(Effect):
         by_range = (self._columns(scene, w + h, uneven) - self._columns(scene, w - h, uneven)) @ linear / (2 * h)
         return np.concatenate([self._columns(scene, w, uneven), by_range[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
 
+    def by_torque(self, scene: Scene, theta: Array, change: Array) -> Array:
+        half, beside = np.zeros((2, scene.n_joints))
+        driven = int(scene.driven.sum())
+        half[scene.driven], beside[scene.driven] = 0.5 * theta[:driven], 0.5 * theta[driven:-2] * (theta[-1] >= 0.5)
+        side, soft = _side(scene, theta[-2]), theta[-2] * rated_torque(scene.robot)
+        slope = (half + 2.0 * beside * side) * (1.0 - side**2) / soft
+        return np.asarray((scene.J * slope[:, None, :]) @ change)
+
     def _columns(self, scene: Scene, share: float, uneven: float) -> Array:
-        side = np.tanh((scene.tau_acting + scene.tau_gravity) / (share * rated_torque(scene.robot)))
+        side = _side(scene, share)
         turned = np.concatenate([0.5 * side, 0.5 * side**2 * (uneven >= 0.5)], axis=1)
         J, driven = np.concatenate([scene.J, scene.J], axis=2), np.concatenate([scene.driven, scene.driven])
         return (J * turned[:, None, :])[:, :, driven]
@@ -89,6 +97,11 @@ class JointBacklash(Effect):
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Backlash(scene, theta)
+
+
+def _side(scene: Scene, share: float) -> Array:
+    """On which side of its play the load holds each axis, -1 to 1, (n, k)."""
+    return np.asarray(np.tanh((scene.tau_acting + scene.tau_gravity) / (share * rated_torque(scene.robot))))
 
 
 class _Backlash(ColumnLaw):

@@ -24,6 +24,7 @@ ARRIVED = (-0.5, 0.0, 0.5)
 TURNS_OVER = (1e-4, 0.01, 0.04)
 RESOLVED = 1e-4  # rad; a smaller step is none
 TURNS = 0.01  # rad of travel after which friction points against it
+ROUNDING = 1e-9  # of a threshold
 SHAPE = 4  # parameters that enter nonlinearly, the last ones
 SLIDERS = ("h", "early", "late")  # of each axis, with thresholds r, r / APART, r APART
 # share of the deflection, RMS, and axes; chosen: outside simulators whose gears all have some friction have 0.3 to 2.8 %, and
@@ -108,6 +109,25 @@ class JointHysteresis(Effect):
             by_shape[:, :, i] = change / (2.0 * step)
         return np.concatenate([columns, by_shape], axis=2)
 
+    def by_torque(self, scene: Scene, theta: Array, change: Array) -> Array:
+        if scene.kind == "absolute":  # there the last step decides
+            return np.zeros((len(scene), 3, change.shape[2]))
+        fraction, spread, freed, arrived = (float(v) for v in theta[-SHAPE:])
+        r, played = self._thresholds(scene, fraction, spread), self._played(scene, fraction, spread, freed, arrived)
+        moved = np.zeros((*played.shape, change.shape[2]))
+        for n, rows in enumerate(scene.rows.in_turn):
+            held = np.abs(played[rows] - scene.tau_acting[rows][:, None]) < (1.0 - ROUNDING) * r
+            last = np.zeros((len(rows), *moved.shape[1:]))
+            if n:
+                before = scene.previous[rows]
+                free = np.abs(freed * scene.step[rows])[:, None, :, None]
+                last = released(moved[before], change[before][:, None], free)
+            moved[rows] = np.where(held[..., None], last, change[rows][:, None])
+        h = np.zeros((len(SLIDERS), scene.n_joints))
+        h[:, scene.driven] = theta[:-SHAPE].reshape(len(SLIDERS), -1)
+        turned = (by_slider(moved - change[:, None], 1) * h[None, :, :, None]).sum(axis=1)
+        return np.asarray(scene.J @ turned)
+
     def _by_last_step(self, scene: Scene, over: float) -> Array:
         turned = np.where(np.abs(scene.step) > RESOLVED, np.tanh(scene.step / over), 0.0)
         return (0.5 * scene.J * turned[:, None, :])[:, :, scene.driven]
@@ -119,16 +139,24 @@ class JointHysteresis(Effect):
 
     def _held(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> Array:
         """Minus the part of the torque that each slider holds (the stop operator), (n, sliders, k)."""
-        r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
+        return by_slider(self._played(scene, fraction, spread, freed, arrived) - scene.tau_acting[:, None, :], 1)
+
+    def _thresholds(self, scene: Scene, fraction: float, spread: float) -> Array:
+        """Of all sliders, N m, (3 or 5, k)."""
+        return np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
+
+    def _played(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> Array:
+        """Torque less what each slider holds (the play operator), (n, 3 or 5, k)."""
+        r, acting = self._thresholds(scene, fraction, spread), scene.tau_acting
         played = np.zeros((len(scene), len(r), scene.n_joints))
         came = np.tanh(travel_to_reference(scene) / TURNS) if arrived else np.zeros_like(scene.q)
         for n, rows in enumerate(scene.rows.in_turn):
-            tau, last = scene.tau_acting[rows][:, None], arrived * came[rows][:, None] * r
+            tau, last = acting[rows][:, None], arrived * came[rows][:, None] * r
             if n:
                 before = scene.previous[rows]
-                last = released(played[before], scene.tau_acting[before][:, None], freed * scene.step[rows][:, None])
+                last = released(played[before], acting[before][:, None], freed * scene.step[rows][:, None])
             played[rows] = np.clip(last, tau - r, tau + r)
-        return by_slider(played - scene.tau_acting[:, None, :], 1)
+        return played
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         if not theta[:-SHAPE].any():

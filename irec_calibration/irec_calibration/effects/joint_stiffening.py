@@ -66,6 +66,12 @@ class JointStiffening(Effect):
         by_break = (self._columns(scene, x_0 + h, slow) - self._columns(scene, x_0 - h, slow)) @ a / (2 * h)
         return np.concatenate([columns, by_break[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
 
+    def by_torque(self, scene: Scene, theta: Array, change: Array) -> Array:
+        a = np.zeros(scene.n_joints)
+        a[scene.driven] = theta[:-2]
+        slope = -a * _slope(theta[-1])((scene.tau_acting + scene.tau_gravity) / (theta[-2] * rated_torque(scene.robot)))
+        return np.asarray((scene.J * slope[:, None, :]) @ change)
+
     def _columns(self, scene: Scene, fraction: float, slow: float) -> Array:
         x_0 = fraction * rated_torque(scene.robot)
         saturating = saturation(slow)
@@ -91,6 +97,13 @@ class JointStiffening(Effect):
 def saturation(slow: float) -> Callable[[Array], Array]:
     """s: how the soft part of a gear's deflection ends with x / x_0, from soon (slow 0) to never (1)."""
     return np.tanh if slow < 0.25 else _cusp if slow <= 0.75 else np.arcsinh
+
+
+def _slope(slow: float) -> Callable[[Array], Array]:
+    """Derivative of `saturation`."""
+    if slow < 0.25:
+        return lambda u: 1.0 - np.tanh(u) ** 2
+    return (lambda u: np.exp(-np.abs(u))) if slow <= 0.75 else (lambda u: 1.0 / np.sqrt(1.0 + u**2))
 
 
 def _cusp(u: Array) -> Array:

@@ -279,7 +279,13 @@ class Scene:
 
     def with_wrench(self, force_in_tool: Array, torque_in_tool: Array) -> Scene:
         """Under another wrench, (n, 3) each, N and N m in tool0."""
-        return replace(self, load=Load(self.arm, force_in_tool, torque_in_tool))
+        return self.loaded_otherwise(load=Load(self.arm, force_in_tool, torque_in_tool))
+
+    def loaded_otherwise(self, **changed: Any) -> Scene:
+        """With another load, elastic response or torque that no sensor reads, on which the parameters of no effect depend."""
+        out = replace(self, **changed)
+        object.__setattr__(out, "asked", self.asked)
+        return out
 
     def seen_at(self, p_observed: Array) -> Scene:
         """With another observed point, (n, 3), m, on the same link."""

@@ -111,7 +111,7 @@ def prepared(terms: Sequence[Term], scene: Scene) -> Scene:
     """The scene as the effects of a model see it: wrench corrected, what pulls unseen and elastic response attached."""
     scene = apply_wrench_effects(terms, scene)
     if any(follows_springs(t.effect, scene) for t in terms):
-        scene = replace(scene, elastic=elastic_response(terms, scene, mover_of((t.effect for t in terms), scene)))
+        scene = scene.loaded_otherwise(elastic=elastic_response(terms, scene, mover_of((t.effect for t in terms), scene)))
     return with_pull(terms, scene)
 
 
@@ -119,9 +119,9 @@ def with_pull(terms: Sequence[Term], scene: Scene) -> Scene:
     """The scene with the torque of what pulls at the arm and no sensor reads: laws of gears answer to that too."""
     pulls = [t for t in terms if t.effect.loads_arm and any(e.value for e in t.estimates.values())]
     if not pulls:
-        return scene if scene.tau_unseen is None else replace(scene, tau_unseen=None)
+        return scene if scene.tau_unseen is None else scene.loaded_otherwise(tau_unseen=None)
     wrenches = [t.effect.pull(scene, t.theta(parameters_of(t.effect, scene))) for t in pulls]
-    return replace(scene, tau_unseen=np.sum([Load(scene.arm, *wrench).tau for wrench in wrenches], axis=0))
+    return scene.loaded_otherwise(tau_unseen=np.sum([Load(scene.arm, *wrench).tau for wrench in wrenches], axis=0))
 
 
 def displacements(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) -> dict[str, Array]:
@@ -180,18 +180,36 @@ def _with_laws(terms: Sequence[Term], ready: Scene, out: list[Array]) -> list[Ar
     laws = [t for t in terms if t.effect.family is Family.TORQUE_LAW and any(e.value for e in t.estimates.values())]
     if unseen is None or not laws:
         return out
-    at = sum((_moved(t, ready) for t in laws), np.zeros((len(ready), 3)))
     found = []
     for term, plain in zip(terms, out, strict=True):
         parameters = parameters_of(term.effect, ready) if term.effect.loads_arm else ()
-        more = plain.copy() if parameters else plain
-        for i in term.free(parameters):
-            step = np.zeros(len(parameters))
-            step[i] = PULL_STEP * parameters[i].scale
-            there = replace(ready, tau_unseen=unseen + Load(ready.arm, *term.effect.pull(ready, step)).tau)
-            more[:, :, i] += (sum(_moved(t, there) for t in laws) - at) / step[i]
+        free = term.free(parameters)
+        if not len(free):
+            found.append(plain)
+            continue
+        steps = np.array([parameters[i].scale for i in free])
+        pulls = (term.effect.pull(ready, step) for step in np.eye(len(parameters))[free] * steps[:, None])
+        change = np.stack([Load(ready.arm, *wrench).tau for wrench in pulls], axis=2) / steps
+        more = plain.copy()
+        for law in laws:
+            more[:, :, free] += _by_unseen(law, ready, unseen, change, steps)
         found.append(more)
     return found
+
+
+def _by_unseen(law: Term, ready: Scene, unseen: Array, change: Array, steps: Array) -> Array:
+    """Derivative of the displacement by a law of gears by parameters of what pulls unseen, (n, 3, p).
+
+    Args:
+        change: of the torque of what pulls, by each parameter, (n, k, p); steps: scale of each, (p,).
+    """
+    said = law.effect.by_torque(ready, law.theta(parameters_of(law.effect, ready)), change)
+    if said is not None:
+        return said
+    at, out = _moved(law, ready), np.empty((len(ready), 3, len(steps)))
+    for p, h in enumerate(PULL_STEP * steps):
+        out[:, :, p] = (_moved(law, ready.loaded_otherwise(tau_unseen=unseen + h * change[:, :, p])) - at) / h
+    return out
 
 
 def _takers(terms: Sequence[Term], springs: Sequence[int], scene: Scene) -> dict[int, list[tuple[int, int, int]]]:

@@ -179,7 +179,8 @@ def _asked(answer: Callable[[Scene], Array], scene: Scene) -> Answer:
         there = scene.seen_at(scene.p_observed + e)
         at_rest.append(answer(there.with_wrench(none, none)))
         by_wrench.append(_by_unit(answer, there, at_rest[-1]))
-    return Answer(np.stack(at_rest, axis=2), np.stack(by_wrench, axis=2))
+    # in the order of memory that a product with values of the parameters needs
+    return Answer(np.ascontiguousarray(np.stack(at_rest, axis=2)), np.ascontiguousarray(np.stack(by_wrench, axis=2)))
 
 
 def _by_unit(answer: Callable[[Scene], Array], scene: Scene, rest: Array | float = 0.0) -> Array:

@@ -65,14 +65,29 @@ def test_a_stiffening_gear_under_a_hose_turns_by_the_law_of_its_whole_torque(sce
     np.testing.assert_allclose(total_displacement(pulled("joint_stiffening"), scene), expected, rtol=1e-9, atol=1e-15)
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_what_gears_make_of_a_hose_is_part_of_the_derivative_by_its_force(law: str, scene: Scene) -> None:
-    terms, h = pulled(law), 1e-3
+@pytest.mark.parametrize(
+    ("law", "shape"),
+    [
+        *((law, {}) for law in LAWS),
+        ("joint_stiffening", {"slow": 0.5}),
+        ("joint_stiffening", {"slow": 1.0}),
+        ("joint_hysteresis", {"spread": 1.0, "freed": 300.0, "arrived": 0.5, f"early_{AXIS + 1}": 2e-7}),
+        ("joint_backlash", {f"d_{AXIS + 1}": 2e-4, "uneven": 1.0}),
+    ],
+)
+def test_what_gears_make_of_a_hose_is_part_of_the_derivative_by_its_force(
+    law: str, shape: dict[str, float], scene: Scene
+) -> None:
+    def under(pull: np.ndarray) -> list[Term]:
+        torsion, of_gear, hose = pulled(law, tuple(pull))
+        return [torsion, replace(of_gear, estimates=term(law, LAWS[law] | shape).estimates), hose]
+
+    terms, h = under(np.array(PULL)), 1e-3
     names = [p.name for p in terms[-1].effect.parameters(scene)]
     found = regressors(terms, scene)[-1]
     for i, name in enumerate(("f_x", "f_y", "f_z")):
         step = h * np.eye(3)[i]
-        sides = [total_displacement(pulled(law, tuple(np.array(PULL) + s)), scene) for s in (step, -step)]
+        sides = [total_displacement(under(np.array(PULL) + s), scene) for s in (step, -step)]
         slope = (sides[0] - sides[1]) / (2.0 * h)
         np.testing.assert_allclose(found[:, :, names.index(name)], slope, atol=2e-3 * np.abs(slope).max())
 
