@@ -188,12 +188,13 @@ class Effect(ABC):
         """
         return None
 
-    def by_torque(self, scene: Scene, theta: Array, change: Array) -> Array | None:
-        """What the displacement changes by where the torque of what no sensor reads does (`Scene.tau_unseen`), (n, 3, p), m; None
-        where an effect does not say: it is asked a small step beside then.
+    def by_torque(self, scene: Scene, theta: Array, change: Array, read: bool) -> Array | None:
+        """What the displacement changes by where the torque about the actuated axes does, (n, 3, p), m; None where an effect does
+        not say: it is asked a small step beside then.
 
         Args:
-            change: of that torque about the actuated axes by p parameters of what pulls at the arm, (n, k, p).
+            change: of the torque by p parameters of another effect, (n, k, p); read: whether it is of the process wrench
+                (`Scene.tau`) or of what no sensor reads (`Scene.tau_unseen`).
         """
         return None
 

@@ -59,7 +59,7 @@ class JointBacklash(Effect):
         by_range = (self._columns(scene, w + h, uneven) - self._columns(scene, w - h, uneven)) @ linear / (2 * h)
         return np.concatenate([self._columns(scene, w, uneven), by_range[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
 
-    def by_torque(self, scene: Scene, theta: Array, change: Array) -> Array:
+    def by_torque(self, scene: Scene, theta: Array, change: Array, read: bool) -> Array:
         half, beside = np.zeros((2, scene.n_joints))
         driven = int(scene.driven.sum())
         half[scene.driven], beside[scene.driven] = 0.5 * theta[:driven], 0.5 * theta[driven:-2] * (theta[-1] >= 0.5)

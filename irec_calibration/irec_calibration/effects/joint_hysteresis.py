@@ -109,7 +109,7 @@ class JointHysteresis(Effect):
             by_shape[:, :, i] = change / (2.0 * step)
         return np.concatenate([columns, by_shape], axis=2)
 
-    def by_torque(self, scene: Scene, theta: Array, change: Array) -> Array:
+    def by_torque(self, scene: Scene, theta: Array, change: Array, read: bool) -> Array:
         if scene.kind == "absolute":  # there the last step decides
             return np.zeros((len(scene), 3, change.shape[2]))
         fraction, spread, freed, arrived = (float(v) for v in theta[-SHAPE:])

@@ -66,10 +66,11 @@ class JointStiffening(Effect):
         by_break = (self._columns(scene, x_0 + h, slow) - self._columns(scene, x_0 - h, slow)) @ a / (2 * h)
         return np.concatenate([columns, by_break[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
 
-    def by_torque(self, scene: Scene, theta: Array, change: Array) -> Array:
+    def by_torque(self, scene: Scene, theta: Array, change: Array, read: bool) -> Array:
         a = np.zeros(scene.n_joints)
         a[scene.driven] = theta[:-2]
-        slope = -a * _slope(theta[-1])((scene.tau_acting + scene.tau_gravity) / (theta[-2] * rated_torque(scene.robot)))
+        saturates = _slope(theta[-1])((scene.tau_acting + scene.tau_gravity) / (theta[-2] * rated_torque(scene.robot)))
+        slope = a * (float(read) - saturates)  # springs answer to what is read, by the loaded gear to what is not
         return np.asarray((scene.J * slope[:, None, :]) @ change)
 
     def _columns(self, scene: Scene, fraction: float, slow: float) -> Array:

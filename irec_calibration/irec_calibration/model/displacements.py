@@ -15,7 +15,7 @@ from ..typing import Array
 from .springs import answer_of, by_geometry, by_parameters, displacement_at, is_kept, response_of
 from .term import Estimate, Term
 
-PULL_STEP = 1e-3  # of the scale of a pull, for derivatives
+TORQUE_STEP = 0.05  # N m at most, of what pulls at the arm, for derivatives
 WRENCH_STEP = 1e-3  # of the scale of a parameter that changes the wrench
 
 
@@ -148,7 +148,7 @@ def regressors(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) 
         parameters = parameters_of(term.effect, scene)
         theta = term.theta(parameters)
         if term.effect.acts_on == "wrench":
-            out.append(_wrench_regressor(terms, i, scene, parameters, theta))
+            out.append(_wrench_regressor(terms, i, scene, ready, parameters))
         else:
             out.append(term.effect.regressor(ready, theta))
     springs = [i for i, t in enumerate(terms) if t.effect.elastic and t.effect.acts_on != "wrench"]
@@ -182,34 +182,36 @@ def _with_laws(terms: Sequence[Term], ready: Scene, out: list[Array]) -> list[Ar
         return out
     found = []
     for term, plain in zip(terms, out, strict=True):
-        parameters = parameters_of(term.effect, ready) if term.effect.loads_arm else ()
-        free = term.free(parameters)
-        if not len(free):
-            found.append(plain)
-            continue
-        steps = np.array([parameters[i].scale for i in free])
-        pulls = (term.effect.pull(ready, step) for step in np.eye(len(parameters))[free] * steps[:, None])
-        change = np.stack([Load(ready.arm, *wrench).tau for wrench in pulls], axis=2) / steps
-        more = plain.copy()
-        for law in laws:
-            more[:, :, free] += _by_unseen(law, ready, unseen, change, steps)
+        free = term.free(parameters_of(term.effect, ready)) if term.effect.loads_arm else []
+        more = plain.copy() if free else plain
+        for law in laws if free else ():
+            change = _torque_of_pull(term.effect, ready)[:, :, free]
+            said = law.effect.by_torque(ready, law.theta(parameters_of(law.effect, ready)), change, read=False)
+            more[:, :, free] += _by_step(law, ready, change) if said is None else said
         found.append(more)
     return found
 
 
-def _by_unseen(law: Term, ready: Scene, unseen: Array, change: Array, steps: Array) -> Array:
-    """Derivative of the displacement by a law of gears by parameters of what pulls unseen, (n, 3, p).
-
-    Args:
-        change: of the torque of what pulls, by each parameter, (n, k, p); steps: scale of each, (p,).
-    """
-    said = law.effect.by_torque(ready, law.theta(parameters_of(law.effect, ready)), change)
-    if said is not None:
-        return said
-    at, out = _moved(law, ready), np.empty((len(ready), 3, len(steps)))
-    for p, h in enumerate(PULL_STEP * steps):
+def _by_step(law: Term, ready: Scene, change: Array) -> Array:
+    """Derivative of the displacement by a law of gears by a change of the torque that is not read, (n, 3, p), by a small step."""
+    unseen = np.zeros_like(ready.tau) if ready.tau_unseen is None else ready.tau_unseen
+    at, out = _moved(law, ready), np.empty((len(ready), 3, change.shape[2]))
+    for p in range(change.shape[2]):
+        h = TORQUE_STEP / max(float(np.abs(change[:, :, p]).max()), 1e-300)
         out[:, :, p] = (_moved(law, ready.loaded_otherwise(tau_unseen=unseen + h * change[:, :, p])) - at) / h
     return out
+
+
+def _torque_of_pull(effect: Effect, scene: Scene) -> Array:
+    """Torque about the actuated axes by one of each parameter of what pulls at the arm, (n, k, p); kept with the view for the
+    next step of a fit."""
+    name = f"torque of {effect.id}"
+    rows, of, known = scene.view.kept.get(name, (None,) * 3)
+    if rows is not scene.rows or of is not effect:
+        pulls = (effect.pull(scene, one) for one in np.eye(len(parameters_of(effect, scene))))
+        known = np.stack([Load(scene.arm, *wrench).tau for wrench in pulls], axis=2)
+        scene.view.kept[name] = scene.rows, effect, known
+    return np.asarray(known)
 
 
 def _takers(terms: Sequence[Term], springs: Sequence[int], scene: Scene) -> dict[int, list[tuple[int, int, int]]]:
@@ -219,31 +221,32 @@ def _takers(terms: Sequence[Term], springs: Sequence[int], scene: Scene) -> dict
     return {i: [(j, p, c) for j, p, name in takes for c, one in enumerate(own[i]) if one.name == name] for i in springs}
 
 
-def _wrench_regressor(terms: Sequence[Term], i: int, scene: Scene, parameters: Sequence[Parameter], theta: Array) -> Array:
-    """Of an effect that changes the wrench: springs that are kept are linear in it, what other terms make of it is asked a small
-    step beside each value (at these steps a step to either side gives the same to four digits, at twice the cost)."""
-    moving = [t for t in terms if t.effect.acts_on != "wrench"]
-    kept = [t for t in moving if is_kept(t.effect, scene)]
-    by_wrench = sum(
-        (answer_of(t.effect, t.theta(parameters_of(t.effect, scene)), scene).by_wrench[:, :, 0] for t in kept),
-        np.zeros((len(scene), 3, 6)),
-    )
-    others = [t for t in moving if not is_kept(t.effect, scene)]
-    here = _wrench_and_rest(terms, others, scene)
-    out = np.empty((len(scene), 3, len(parameters)))
+def _wrench_regressor(terms: Sequence[Term], i: int, scene: Scene, ready: Scene, parameters: Sequence[Parameter]) -> Array:
+    """Of an effect that changes the wrench: springs that are kept are linear in it, laws of gears say what they make of it, other
+    terms are asked a small step beside each value (at these steps a step to either side gives the same to four digits, at twice
+    the cost)."""
+    theta, none = terms[i].theta(parameters), np.zeros((len(scene), 3))
+    wrench, out = np.empty((len(scene), 6, len(parameters))), np.zeros((len(scene), 3, len(parameters)))
+    shifted = []
     for p, parameter in enumerate(parameters):
-        h = WRENCH_STEP * parameter.scale
-        shifted = theta.copy()
-        shifted[p] += h
-        values = {q.name: Estimate(float(v)) for q, v in zip(parameters, shifted, strict=True)}
-        there = _wrench_and_rest([*terms[:i], replace(terms[i], estimates=values), *terms[i + 1 :]], others, scene)
-        moved = there[1] - here[1] + np.einsum("nik,nk->ni", by_wrench, there[0] - here[0])
-        out[:, :, p] = moved / h
+        step = WRENCH_STEP * parameter.scale * np.eye(len(parameters))[p]
+        values = {q.name: Estimate(float(v)) for q, v in zip(parameters, theta + step, strict=True)}
+        shifted.append([*terms[:i], replace(terms[i], estimates=values), *terms[i + 1 :]])
+        there = apply_wrench_effects(shifted[-1], scene)
+        wrench[:, :3, p] = (there.force_in_tool - ready.force_in_tool) / step[p]
+        wrench[:, 3:, p] = (there.torque_in_tool - ready.torque_in_tool) / step[p]
+    change = np.stack([Load(scene.arm, w[:, :3], w[:, 3:]).tau for w in np.moveaxis(wrench, 2, 0)], axis=2)
+    others = []
+    for term in terms:
+        at = term.theta(parameters_of(term.effect, scene))
+        if is_kept(term.effect, scene):
+            out += answer_of(term.effect, at, scene).by_wrench[:, :, 0] @ wrench
+        elif term.effect.acts_on != "wrench":
+            said = term.effect.by_torque(ready, at, change, read=True)
+            others += [term] if said is None else []
+            out += 0.0 if said is None else said
+    here = sum((_moved(t, ready) for t in others), none)
+    for p, parameter in enumerate(parameters if others else ()):
+        there = prepared(shifted[p], scene)
+        out[:, :, p] += (sum((_moved(t, there) for t in others), none) - here) / (WRENCH_STEP * parameter.scale)
     return out
-
-
-def _wrench_and_rest(terms: Sequence[Term], others: Sequence[Term], scene: Scene) -> tuple[Array, Array]:
-    """The wrench in tool0 that acts by a model, (n, 6), and what other terms than springs that are kept make of it, (n, 3)."""
-    there = prepared(terms, scene)
-    moved = sum((_moved(t, there) for t in others), np.zeros((len(scene), 3)))
-    return np.concatenate([there.force_in_tool, there.torque_in_tool], axis=1), moved

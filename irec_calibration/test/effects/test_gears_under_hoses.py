@@ -131,3 +131,24 @@ def test_a_hose_at_the_wrist_pulls_there(scene: Scene) -> None:
 def test_without_a_hose_nothing_pulls(scene: Scene) -> None:
     assert prepared(pulled("joint_backlash", (0.0, 0.0, 0.0)), scene).tau_unseen is None
     assert prepared(pulled("joint_backlash")[:2], scene).tau_unseen is None
+
+
+@pytest.mark.parametrize("sensor", [{"e_xx": -0.02, "e_yy": 0.05}, {"w_x": 0.02, "w_y": -0.01}])
+def test_what_follows_the_wrench_is_part_of_the_derivative_by_the_sensor(sensor: dict[str, float], scene: Scene) -> None:
+    effect = find_effect("sensor_gain" if "e_xx" in sensor else "sensor_alignment")
+    names = [p.name for p in effect.parameters(scene)]
+    laws, creeps = [term(law, LAWS[law]) for law in LAWS], term("creep", {"share": 0.1, "T": 5.0})
+    rest = [*laws, creeps, term("external_force", {"f_x": 80.0})]
+    assert set(sensor) <= set(names)
+
+    def with_sensor(values: np.ndarray) -> list[Term]:
+        torsion = term("joint_torsion", {f"c_{AXIS + 1}": SOFT})
+        return [torsion, *rest, term(effect.id, dict(zip(names, values, strict=True)))]
+
+    at, h = np.array([sensor.get(n, 0.0) for n in names]), 1e-5
+    found = regressors(with_sensor(at), scene)[-1]
+    for i in range(len(names)):
+        step = h * np.eye(len(names))[i]
+        sides = [total_displacement(with_sensor(at + s), scene) for s in (step, -step)]
+        slope = (sides[0] - sides[1]) / (2.0 * h)
+        np.testing.assert_allclose(found[:, :, i], slope, atol=3e-3 * np.abs(slope).max())
