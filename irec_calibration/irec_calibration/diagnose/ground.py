@@ -16,6 +16,8 @@ from ..identification.validation import floored
 from ..typing import Array, IntArray
 from .evidence import Bench, Block, Posterior, Products, log_volume
 
+AT_ONCE = 1_000_000  # numbers of columns that are reduced together
+
 
 class Ground:
     """A block fitted and held as the ground that many further blocks are tried on: each costs only a problem of its own size.
@@ -107,10 +109,14 @@ class Ground:
     def reduced_tables(self, blocks: Sequence[Block], grams: Sequence[Array] | None = None) -> ReducedTables:
         """Further blocks of the same columns, at other shapes; grams: the products A'A of each, where they are known already."""
         grams = [block.A.T @ block.A for block in blocks] if grams is None else grams
-        V, u = zip(*(self.reduce(block.A) for block in blocks), strict=True)
-        S = [gram - v.T @ v for gram, v in zip(grams, V, strict=True)]
+        (n, p), found = blocks[0].A.shape, list[tuple[Array, Array]]()
+        at_once = max(AT_ONCE // (n * p), 1)
+        for first in range(0, len(blocks), at_once):
+            V, u = self.reduce(np.concatenate([block.A for block in blocks[first : first + at_once]], axis=1))
+            found += zip(np.split(V, V.shape[1] // p, axis=1), np.split(u, len(u) // p), strict=True)
+        S = [gram - V.T @ V for gram, (V, _) in zip(grams, found, strict=True)]
         bounds = (np.array([getattr(block, name) for block in blocks]) for name in ("lower", "upper", "width"))
-        return ReducedTables(np.array(S), np.array(u), np.array(V), *bounds)
+        return ReducedTables(np.array(S), np.array([u for _, u in found]), np.array([V for V, _ in found]), *bounds)
 
     def posteriors(self, tables: ReducedTables, sets: Sequence[tuple[int, Sequence[int]]], factors: Array) -> list[Posterior]:
         """As `posterior` of each of many sets of columns: the number of a table, and some of its columns."""

@@ -264,12 +264,12 @@ def _told_apart(family: Family, ground: Ground, least: float) -> BoolArray:
         least: share of its square that is left of any mixture of terms beside the model.
     """
     V, _ = ground.reduce(family.A)
+    size = np.maximum(np.linalg.norm(family.A, axis=0), 1e-12)
+    whole, beside = family.A / size, V / size
     out = np.empty(len(family.structures), dtype=bool)
     for i, structure in enumerate(family.structures):
-        A, beside = family.A[:, structure.columns], V[:, structure.columns]
-        size = np.maximum(np.linalg.norm(A, axis=0), 1e-12)
-        left = (A.T @ A - beside.T @ beside) / size / size[:, None]
-        out[i] = np.linalg.eigvalsh(left)[0] > least
+        A, B = whole[:, structure.columns], beside[:, structure.columns]
+        out[i] = np.linalg.eigvalsh(A.T @ A - B.T @ B)[0] > least
     return out
 
 

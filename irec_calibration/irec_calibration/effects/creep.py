@@ -96,19 +96,19 @@ class Creep(Effect):
 
     def _crept(self, scene: Scene, v: Array, T: float, memory: float, spread: float) -> Array:
         """What has crept of displacements v, (n, 3[, p]), under loads that have the elastic response of the scene."""
-        return np.mean([self._by_one(scene, v, t, memory) for t in time_constants(T, spread)], axis=0)
-
-    def _by_one(self, scene: Scene, v: Array, T: float, memory: float) -> Array:
-        along = (-1, *[1] * (v.ndim - 1))
-        if memory >= 0.5:
-            reached = (1.0 - np.exp(-np.maximum(scene.stamp - scene.load_since, 0.0) / T)).reshape(along)
+        along, constants = (-1, *[1] * (v.ndim - 1)), time_constants(T, spread)
+        if memory < 0.5:
+            age = np.maximum(scene.stamp - _same_load_since(scene), 0.0)
+            return np.asarray(v * np.mean([-np.expm1(-age / t) for t in constants], axis=0).reshape(along))
+        dwell, out = np.maximum(scene.stamp - scene.load_since, 0.0), np.zeros_like(v)
+        for t in constants:
+            reached = -np.expm1(-dwell / t).reshape(along)
             crept = v * reached
             for rows in scene.rows.in_turn[1:]:
                 before = crept[scene.previous[rows]]
                 crept[rows] = before + (v[rows] - before) * reached[rows]
-            return crept
-        since = _same_load_since(scene)
-        return np.asarray(v * (1.0 - np.exp(-np.maximum(scene.stamp - since, 0.0) / T)).reshape(along))
+            out += crept / len(constants)
+        return out
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         gears = np.zeros(scene.n_joints)
