@@ -160,7 +160,7 @@ class Effect(ABC):
 
     @abstractmethod
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Parameters of this effect for the robot and columns of a scene."""
+        """Parameters of this effect for the robot and columns of a scene, the same whatever the load."""
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         """Displacement of the observed point in base_link, (n, 3), m, for parameter values theta (p,)."""

@@ -19,6 +19,8 @@ AT_ONCE = 1e-3  # share of the rated torque below which the side on which the ge
 TAKEN_UP_OVER = (AT_ONCE, 0.004, 0.015)
 # Gear makers read lost motion at +-3 % of the rated torque. What is soft over a wider range is a spring: joint_stiffening.
 WIDEST = 0.03
+HELD_UP_TO = 1.5  # times the range over which play is taken up; chosen: nine tenths of the play are held without load then
+SHAPE = 3  # parameters that enter nonlinearly, the last ones
 PLAY = 1.0e-4  # rad, of one gear, that a check over the years must find
 # Sound gears have lost motion of up to an arc minute, 2.9e-4 rad; chosen: what was found in several axes of such robots, at most
 USUAL_PLAY, USUAL_AXES = 1.0e-4, 2.3
@@ -31,8 +33,9 @@ class JointBacklash(Effect):
         "Gear play: the joint moves by a fixed angle b_k when its total torque (process and gravity) changes sign: J_k b_k "
         "tanh(tau / w)/2, w the range of torque over which tooth by tooth the play is taken up. Where a seal, a brake or a brush "
         "holds the gear to one side it is crossed beside zero, and the axis turns by p_k tanh(tau / w)^2/2 more (uneven 1; to "
-        "first order in the shift). Missing, the residual jumps by the same angle whatever the load. An axis whose total torque "
-        "never changes sign shows nothing."
+        "first order in the shift). Where they hold it on whichever side it lies, a gear stays there, from pose to pose, until "
+        f"the torque is {HELD_UP_TO:g} w the other way (held 1). Missing, the residual jumps by the same angle whatever the "
+        "load. An axis whose total torque never changes sign shows nothing."
     )
     family = Family.TORQUE_LAW
     usual_visible = 0.007  # chosen; gears of an outside simulator, soft about zero torque, had 0.7 %, causes 0.74 and more
@@ -48,34 +51,39 @@ class JointBacklash(Effect):
         return (
             *axes, *beside, Parameter("w", "share of rated torque", AT_ONCE, 1e-4, WIDEST, start=AT_ONCE, grid=TAKEN_UP_OVER),
             Parameter("uneven", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0), kinds=True),
+            Parameter("held", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0), kinds=True),
         )  # fmt: skip
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        return self._columns(scene, *theta[-2:]) @ theta[:-2]
+        return self._columns(scene, *theta[-SHAPE:]) @ theta[:-SHAPE]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        *linear, w, uneven = theta
+        linear, (w, uneven, held) = theta[:-SHAPE], theta[-SHAPE:]
         h = 1e-3 * w
-        by_range = (self._columns(scene, w + h, uneven) - self._columns(scene, w - h, uneven)) @ linear / (2 * h)
-        return np.concatenate([self._columns(scene, w, uneven), by_range[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
+        by_range = (self._columns(scene, w + h, uneven, held) - self._columns(scene, w - h, uneven, held)) @ linear / (2 * h)
+        kinds = np.zeros((len(scene), 3, SHAPE - 1))
+        return np.concatenate([self._columns(scene, w, uneven, held), by_range[:, :, None], kinds], axis=2)
 
-    def by_torque(self, scene: Scene, theta: Array, change: Array, read: bool) -> Array:
+    def by_torque(self, scene: Scene, theta: Array, change: Array, read: bool) -> Array | None:
+        w, uneven, held = theta[-SHAPE:]
+        if held >= 0.5:
+            return None
         half, beside = np.zeros((2, scene.n_joints))
         driven = int(scene.driven.sum())
-        half[scene.driven], beside[scene.driven] = 0.5 * theta[:driven], 0.5 * theta[driven:-2] * (theta[-1] >= 0.5)
-        side, soft = _side(scene, theta[-2]), theta[-2] * rated_torque(scene.robot)
-        slope = (half + 2.0 * beside * side) * (1.0 - side**2) / soft
+        half[scene.driven], beside[scene.driven] = 0.5 * theta[:driven], 0.5 * theta[driven:-SHAPE] * (uneven >= 0.5)
+        side = _side(scene, w, held)
+        slope = (half + 2.0 * beside * side) * (1.0 - side**2) / (w * rated_torque(scene.robot))
         return np.asarray((scene.J * slope[:, None, :]) @ change)
 
-    def _columns(self, scene: Scene, share: float, uneven: float) -> Array:
-        side = _side(scene, share)
+    def _columns(self, scene: Scene, w: float, uneven: float, held: float) -> Array:
+        side = _side(scene, w, held)
         turned = np.concatenate([0.5 * side, 0.5 * side**2 * (uneven >= 0.5)], axis=1)
         J, driven = np.concatenate([scene.J, scene.J], axis=2), np.concatenate([scene.driven, scene.driven])
         return (J * turned[:, None, :])[:, :, driven]
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray:
-        near = comes_near_zero(scene, theta[-2] * rated_torque(scene.robot))[scene.driven]
-        return np.concatenate([near, near, [True, True]])
+        near = comes_near_zero(scene, theta[-SHAPE] * rated_torque(scene.robot))[scene.driven]
+        return np.concatenate([near, near, [True] * SHAPE])
 
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         play = [v for n, v in values.items() if n.startswith("b_")]
@@ -84,9 +92,9 @@ class JointBacklash(Effect):
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         driven = np.flatnonzero(scene.driven)
-        soft = theta[-2] * rated_torque(scene.robot)[driven]
+        soft = theta[-SHAPE] * rated_torque(scene.robot)[driven]
         wide = may_be_wide(scene, driven, theta[: len(driven)], soft, WIDEST).any()
-        return "joint_stiffening" if wide or at_border(theta[-2], WIDEST) else ""
+        return "joint_stiffening" if wide or at_border(theta[-SHAPE], WIDEST) else ""
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         return tuple(
@@ -99,9 +107,27 @@ class JointBacklash(Effect):
         return _Backlash(scene, theta)
 
 
-def _side(scene: Scene, share: float) -> Array:
-    """On which side of its play the load holds each axis, -1 to 1, (n, k)."""
-    return np.asarray(np.tanh((scene.tau_acting + scene.tau_gravity) / (share * rated_torque(scene.robot))))
+def _side(scene: Scene, w: float, held: float) -> Array:
+    """On which side of its play each axis lies, -1 to 1, (n, k)."""
+    soft = w * rated_torque(scene.robot)
+    torque = scene.tau_acting + scene.tau_gravity
+    if held >= 0.5:
+        order = np.arange(len(scene)) if scene.clock == "none" else np.lexsort((scene.load_case, scene.stamp))
+        torque[order] = played(torque[order], HELD_UP_TO * soft)
+    return np.asarray(np.tanh(torque / soft))
+
+
+def played(x: Array, r: Array) -> Array:
+    """Play operator of each column of x, (n, k), from the middle on: what is followed only where it is further off than r, (k,).
+
+    Each row is clip(last, x - r, x + r), and a clip of a clip is a clip: all are composed with those before in log2(n) steps.
+    """
+    low, high = x - r, x + r
+    step = 1
+    while step < len(x):
+        low[step:], high[step:] = (np.clip(b[:-step], low[step:], high[step:]) for b in (low, high))
+        step *= 2
+    return np.clip(0.0, low, high)
 
 
 class _Backlash(ColumnLaw):
@@ -111,12 +137,21 @@ class _Backlash(ColumnLaw):
         self.columns = drives(scene.n_joints)
         self._half, self._beside = np.zeros(scene.n_joints), np.zeros(scene.n_joints)
         driven = int(scene.driven.sum())
+        w, uneven, held = theta[-SHAPE:]
         self._half[scene.driven] = 0.5 * theta[:driven]
-        self._beside[scene.driven] = 0.5 * theta[driven:-2] * (theta[-1] >= 0.5)
-        self._soft = theta[-2] * rated_torque(scene.robot)
+        self._beside[scene.driven] = 0.5 * theta[driven:-SHAPE] * (uneven >= 0.5)
+        self._soft = w * rated_torque(scene.robot)
+        self._r = HELD_UP_TO * self._soft * (held >= 0.5)
+        self.reset()
+
+    def reset(self) -> None:
+        self._played, self._before = np.zeros_like(self._soft), np.zeros_like(self._soft)
 
     def displacement(self, tick: Tick, tau: Array) -> Array:
         preload = tick.tau_gravity
-        side, before = np.tanh((tau + tick.tau_unseen + preload) / self._soft), np.tanh(preload / self._soft)
+        whole = tau + tick.tau_unseen + preload
+        self._played = np.clip(self._played, whole - self._r, whole + self._r)
+        self._before = np.clip(self._before, preload - self._r, preload + self._r)
+        side, before = np.tanh(self._played / self._soft), np.tanh(self._before / self._soft)
         out: Array = self._half * (side - before) + self._beside * (side**2 - before**2)
         return out

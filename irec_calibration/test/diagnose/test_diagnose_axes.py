@@ -166,7 +166,7 @@ def test_the_model_without_the_idle_axes_predicts_held_out_poses_as_well() -> No
 def test_adding_an_effect_by_hand_adds_the_axes_that_need_it() -> None:
     model = model_of(identify(session(play_in_axes_1_and_4), blank_model(EIGHTEEN_DOF)))
     new, _, _ = add_effect(model, find_effect("joint_backlash"), session(play_in_axes_1_and_4))
-    assert set(new.terms[-1].estimates) == {"b_1", "b_4", "w", "uneven"}
+    assert set(new.terms[-1].estimates) == {"b_1", "b_4", "w", "uneven", "held"}
 
 
 def test_settling_what_is_settled_changes_nothing() -> None:

@@ -69,7 +69,7 @@ def test_the_place_of_bending_is_added_and_tried_like_any_effect() -> None:
 def test_a_model_with_a_part_of_an_effect_survives_its_file_and_a_refit(tmp_path) -> None:
     new, _, _ = add_effect(model(), find_effect("joint_backlash"), session(play_of_axis_4))
     again = load_model(save_model(new, tmp_path / "m.yaml"))
-    assert tuple(again.terms[-1].estimates) == ("b_4", "w", "uneven")
+    assert tuple(again.terms[-1].estimates) == ("b_4", "w", "uneven", "held")
     assert held_out(prepare(session(play_of_axis_4), again.terms)).rms_m == pytest.approx(new.figures["cv_rms_m"], rel=1e-3)
 
 

@@ -54,7 +54,7 @@ def test_without_efforts_and_masses_nothing_is_known():
 def test_play_may_be_taken_up_over_a_range_of_torque():
     scene = scene_of(session(4, seed=1))
     backlash = find_effect("joint_backlash")
-    at_once, slowly = (backlash.displacement(scene, np.array([2e-4] * 6 + [0.0] * 6 + [w, 0.0])) for w in (1e-3, 0.05))
+    at_once, slowly = (backlash.displacement(scene, np.array([2e-4] * 6 + [0.0] * 6 + [w, 0.0, 0.0])) for w in (1e-3, 0.05))
     size_at_once, size_slowly = (np.linalg.norm(u, axis=1) for u in (at_once, slowly))
     assert np.all(size_slowly.max() < size_at_once.max()) and np.abs(at_once - slowly).max() > 1e-5
 
@@ -63,9 +63,9 @@ def test_play_that_is_crossed_beside_zero_has_a_part_that_is_the_same_for_both_d
     scene = scene_of(session(4, seed=1))
     backlash = find_effect("joint_backlash")
     beside = np.array([0.0] * 6 + [2e-4] * 6 + [0.01])
-    one, other = (backlash.displacement(s, np.append(beside, 1.0)) for s in (scene, _turned_over(scene)))
+    one, other = (backlash.displacement(s, np.append(beside, [1.0, 0.0])) for s in (scene, _turned_over(scene)))
     np.testing.assert_allclose(one, other, atol=1e-12)
-    assert np.abs(one).max() > 1e-5 and not backlash.displacement(scene, np.append(beside, 0.0)).any()
+    assert np.abs(one).max() > 1e-5 and not backlash.displacement(scene, np.append(beside, [0.0, 0.0])).any()
 
 
 def _turned_over(scene):
