@@ -73,19 +73,21 @@ def shown_of(
 
 
 def unproven(session: Session, assessment: Assessment, after: Validated, check: Callable[[], None]) -> tuple[str, ...]:
-    """Names of an absolute session none of whose parts is proven and without which other poses are predicted as well.
+    """Names none of whose parts is proven, and which may only describe some of what has no name.
 
-    Much of what real robots have has no name, and an effect with many parts may describe some of it.
+    Much of what real robots have has none, and an effect with many parts may describe some of it. In a loaded session that is a
+    name beside structure that is left; in an absolute one, a name without which other poses are predicted as well.
 
     Args:
         after: the model with all that was added.
     """
-    if session.kind != "absolute":
-        return ()
     out = []
     for name in assessment.names:
         parts = assessment.parts.get(name)
         if parts is None or parts.proven or find_effect(name).compliance_of:
+            continue
+        if session.kind == "loaded":
+            out += [name] if assessment.evidence and not parts.one_of else []
             continue
         check()
         without = validated(session, [t for t in after.study.terms if t.effect.id != name])

@@ -78,9 +78,10 @@ def verdict_of(
     parts += _rest(assessment)
     parts += _form(shown)
     parts += [f"The improved model has {_label(i)} as every robot has it: no cause to look for." for i in assessment.usual]
+    alone = "structure that has no name is left beside it"
+    doubt = alone if study.ready.kind == "loaded" else "without it other poses are predicted as well"
     parts += [
-        f"The improved model has {_label(i)} too, which is no diagnosis: no part of it is proven, and without it other poses are"
-        " predicted as well."
+        f"The improved model has {_label(i)} too, which is no diagnosis: no part of it is proven, and {doubt}."
         for i in assessment.unproven
     ]
     parts += _stands_in(shown)

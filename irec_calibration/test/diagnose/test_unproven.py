@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A name of an absolute session none of whose parts is proven has to help on other poses; parts that are missed stay."""
+"""A name none of whose parts is proven has to help on other poses, or stand alone; parts that are missed stay."""
 
 from __future__ import annotations
 
@@ -23,18 +23,21 @@ def model(*ids: str, error: float) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("kind", "parts", "without", "fallen"),
+    ("kind", "parts", "without", "evidence", "fallen"),
     [
-        ("absolute", Parts(perhaps=("constant",)), 100.5e-6, ("external_force",)),
-        ("absolute", Parts(perhaps=("constant",)), 95e-6, ("external_force",)),
-        ("absolute", Parts(perhaps=("constant",)), 102e-6, ()),
-        ("absolute", Parts(proven=("constant",)), 100.5e-6, ()),
-        ("absolute", None, 100.5e-6, ()),
-        ("loaded", Parts(perhaps=("constant",)), 100.5e-6, ()),
+        ("absolute", Parts(perhaps=("constant",)), 100.5e-6, (), ("external_force",)),
+        ("absolute", Parts(perhaps=("constant",)), 95e-6, (), ("external_force",)),
+        ("absolute", Parts(perhaps=("constant",)), 102e-6, (), ()),
+        ("absolute", Parts(proven=("constant",)), 100.5e-6, (), ()),
+        ("absolute", None, 100.5e-6, (), ()),
+        ("loaded", Parts(perhaps=("constant",)), 100.5e-6, (), ()),
+        ("loaded", Parts(perhaps=("constant",)), 100.5e-6, ("repeats",), ("external_force",)),
+        ("loaded", Parts(proven=("constant",)), 100.5e-6, ("repeats",), ()),
+        ("loaded", Parts(one_of=(("constant",), ("with the tool",))), 100.5e-6, ("repeats",), ()),
     ],
 )
-def test_without_a_proven_part_a_name_has_to_lower_the_error_on_other_poses(
-    monkeypatch: pytest.MonkeyPatch, kind: str, parts: Parts | None, without: float, fallen: tuple[str, ...]
+def test_without_a_proven_part_a_name_has_to_lower_the_error_on_other_poses_or_to_leave_nothing_without_one(
+    monkeypatch: pytest.MonkeyPatch, kind: str, parts: Parts | None, without: float, evidence: Any, fallen: tuple[str, ...]
 ) -> None:
     asked: list[tuple[str, ...]] = []
 
@@ -44,7 +47,7 @@ def test_without_a_proven_part_a_name_has_to_lower_the_error_on_other_poses(
 
     monkeypatch.setattr(shown, "validated", validated)
     known = {"joint_torsion": Parts(perhaps=("axis 1",))} | ({"external_force": parts} if parts else {})
-    assessment: Any = SimpleNamespace(names=("joint_torsion", "external_force"), parts=known)
+    assessment: Any = SimpleNamespace(names=("joint_torsion", "external_force"), parts=known, evidence=evidence)
     after = model("joint_torsion", "external_force", error=100e-6)
     session: Any = SimpleNamespace(kind=kind)
     assert shown.unproven(session, assessment, after, lambda: None) == fallen
