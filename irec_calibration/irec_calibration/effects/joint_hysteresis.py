@@ -18,7 +18,7 @@ from .travel import travel_to_reference
 
 FRACTIONS_OF_RATED = (0.012, 0.03, 0.075)
 APART = 4.0  # factor between the thresholds of the sliders
-FREED = (0.0, 50.0, 250.0)
+FREED = (0.0, 10.0, 50.0, 250.0)
 ARRIVED = (-0.5, 0.0, 0.5)
 # rad of travel over which friction of an absolute session turns, nearly at once and more gently; twice the last at most
 TURNS_OVER = (1e-4, 0.01, 0.04)
@@ -38,10 +38,10 @@ class JointHysteresis(Effect):
     label = "joint hysteresis"
     physics = (
         "Dry friction inside the gear holds back a part of the wind-up, up to a threshold of torque, until the torque "
-        "turns: -J_k sum_i h_ki stop_i(tau_k) (Prandtl-Ishlinskii, history within a pose from the reference on). Up to "
+        "turns: -J_k sum_i h_ki stop_i(tau_k) (Prandtl-Ishlinskii, from row to row and from pose to pose). Up to "
         "three sliders per axis, with thresholds r / 4, r and 4 r, since teeth and seals give way one after the other; "
-        "motion of the joint frees what is held, by 1/e per 1 / freed. At the reference a share `arrived` of each threshold is "
-        "held in the direction from which the joint came. Missing, "
+        "motion of the joint frees what is held, by 1/e per 1 / freed. Of what the way to a pose has freed a share `arrived` of "
+        "each threshold is held in the direction from which the joint came. Missing, "
         "the same load reached from different sides disagrees; repeats reveal it. In absolute sessions the last step "
         "decides: J_k lag_k tanh(step_k / over) / 2, since what is held turns over some travel."
     )
@@ -112,20 +112,10 @@ class JointHysteresis(Effect):
     def by_torque(self, scene: Scene, theta: Array, change: Array, read: bool) -> Array:
         if scene.kind == "absolute":  # there the last step decides
             return np.zeros((len(scene), 3, change.shape[2]))
-        fraction, spread, freed, arrived = (float(v) for v in theta[-SHAPE:])
-        r, played = self._thresholds(scene, fraction, spread), self._played(scene, fraction, spread, freed, arrived)
-        moved = np.zeros((*played.shape, change.shape[2]))
-        for n, rows in enumerate(scene.rows.in_turn):
-            held = np.abs(played[rows] - scene.tau_acting[rows][:, None]) < (1.0 - ROUNDING) * r
-            last = np.zeros((len(rows), *moved.shape[1:]))
-            if n:
-                before = scene.previous[rows]
-                free = np.abs(freed * scene.step[rows])[:, None, :, None]
-                last = released(moved[before], change[before][:, None], free)
-            moved[rows] = np.where(held[..., None], last, change[rows][:, None])
+        course = _Course(scene, *theta[-SHAPE:])
         h = np.zeros((len(SLIDERS), scene.n_joints))
         h[:, scene.driven] = theta[:-SHAPE].reshape(len(SLIDERS), -1)
-        turned = (by_slider(moved - change[:, None], 1) * h[None, :, :, None]).sum(axis=1)
+        turned = (by_slider(course.by_torque(change) - change[:, None], 1) * h[None, :, :, None]).sum(axis=1)
         return np.asarray(scene.J @ turned)
 
     def _by_last_step(self, scene: Scene, over: float) -> Array:
@@ -139,29 +129,60 @@ class JointHysteresis(Effect):
 
     def _held(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> Array:
         """Minus the part of the torque that each slider holds (the stop operator), (n, sliders, k)."""
-        return by_slider(self._played(scene, fraction, spread, freed, arrived) - scene.tau_acting[:, None, :], 1)
-
-    def _thresholds(self, scene: Scene, fraction: float, spread: float) -> Array:
-        """Of all sliders, N m, (3 or 5, k)."""
-        return np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
-
-    def _played(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> Array:
-        """Torque less what each slider holds (the play operator), (n, 3 or 5, k)."""
-        r, acting = self._thresholds(scene, fraction, spread), scene.tau_acting
-        played = np.zeros((len(scene), len(r), scene.n_joints))
-        came = np.tanh(travel_to_reference(scene) / TURNS) if arrived else np.zeros_like(scene.q)
-        for n, rows in enumerate(scene.rows.in_turn):
-            tau, last = acting[rows][:, None], arrived * came[rows][:, None] * r
-            if n:
-                before = scene.previous[rows]
-                last = released(played[before], acting[before][:, None], freed * scene.step[rows][:, None])
-            played[rows] = np.clip(last, tau - r, tau + r)
-        return played
+        course = _Course(scene, fraction, spread, freed, arrived)
+        return by_slider(course.played - course.torque[:, None, :], 1)
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         if not theta[:-SHAPE].any():
             return LeftOut("has no value for process forces, only for the last step of an absolute session")
         return _Friction(scene, theta)
+
+
+class _Course:
+    """What sliders hold in the course of a session, one row after the other.
+
+    Motion frees what is held: in a pose that which was held before, on the way to another pose towards what that one loads it by;
+    there a share of the threshold is held in the direction from which the joint came.
+
+    Attributes:
+        torque: about each axis, of process, weight and what no sensor reads, (n, k), N m.
+        played: torque less what each slider holds (the play operator), (n, 3 or 5, k).
+    """
+
+    def __init__(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> None:
+        r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
+        self._order = np.lexsort((scene.load_case, scene.stamp))
+        self.torque = scene.tau_acting + scene.tau_gravity
+        travel, first = travel_to_reference(scene), (scene.previous < 0)[self._order]
+        u = self.torque[self._order]
+        keep = np.exp(-np.abs(freed * np.where(scene.previous[:, None] < 0, travel, scene.step)[self._order]))
+        keep[0] = 0.0
+        self._towards_last = ~first  # rows that are freed towards the torque of the row before
+        towards = np.where(first[:, None], u, np.concatenate([u[:1], u[:-1]]))
+        came = np.tanh(travel[self._order] / TURNS) * first[:, None]
+        offset = ((1.0 - keep) * towards)[:, None] + arrived * ((1.0 - keep) * came)[:, None] * r
+        low, high = u[:, None] - r, u[:, None] + r
+        at = clipped_in_turn(np.broadcast_to(keep[:, None], low.shape), offset, low, high)
+        inside = np.abs(at - u[:, None]) < (1.0 - ROUNDING) * r
+        self._keep, self._inside, self.played = keep, inside, np.empty_like(at)
+        self.played[self._order] = at
+
+    def by_torque(self, change: Array) -> Array:
+        """Change of `played` where the torque changes by each of p parameters: (n, k, p) -> (n, 3 or 5, k, p)."""
+        d = change[self._order]
+        before = np.concatenate([d[:1], d[:-1]])
+        towards = np.where(self._towards_last[:, None, None], before, d)
+        free = ((1.0 - self._keep)[:, :, None] * towards)[:, None]
+        out = np.where(self._inside[..., None], free, d[:, None])
+        kept = np.where(self._inside, self._keep[:, None], 0.0)[..., None]
+        step = 1
+        while step < len(d) and kept.any():  # y_i = out_i + kept_i y_(i-1), composed as in `clipped_in_turn`
+            out[step:] += kept[step:] * out[:-step]
+            kept = np.concatenate([np.zeros_like(kept[:step]), kept[step:] * kept[:-step]])
+            step *= 2
+        moved = np.empty_like(out)
+        moved[self._order] = out
+        return moved
 
 
 class _Friction(ColumnLaw):
@@ -193,6 +214,23 @@ def thresholds(fraction: float, spread: float) -> tuple[Array, Array, Array]:
     """Thresholds as shares of the rated torque of `h` (one, or three about it where spread is above 0), `early`, `late`."""
     middle = np.array([[fraction]]) if spread <= 0.0 else fraction * APART ** (spread * np.array([[-1.0], [0.0], [1.0]]))
     return middle, np.array([[fraction / APART]]), np.array([[fraction * APART]])
+
+
+def clipped_in_turn(a: Array, b: Array, low: Array, high: Array) -> Array:
+    """y_i = clip(a_i y_(i-1) + b_i, low_i, high_i) with a_i >= 0 along the first axis, from y = 0 on.
+
+    Such a function of such a one is of this kind again: all are composed with those before in log2(n) steps.
+    """
+    a, b, low, high = np.array(a), np.array(b), np.array(low), np.array(high)
+    step = 1
+    while step < len(a):
+        last_a, last_low, last_high = a[step:].copy(), low[step:].copy(), high[step:].copy()
+        last_b = b[step:].copy()
+        a[step:] = last_a * a[:-step]
+        b[step:] = last_a * b[:-step] + last_b
+        low[step:], high[step:] = (np.clip(last_a * end[:-step] + last_b, last_low, last_high) for end in (low, high))
+        step *= 2
+    return np.clip(b, low, high)
 
 
 def released(played: Array, tau: Array, moved: Array) -> Array:

@@ -8,7 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from irec_calibration.effects import find_effect
+from irec_calibration.effects.joint_hysteresis import clipped_in_turn
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.errors import ModelError
 from irec_calibration.model import Estimate, Model, Term
@@ -94,7 +97,7 @@ def test_sliders_of_an_axis_give_way_one_after_the_other():
 
 
 def test_motion_of_a_joint_frees_what_its_friction_holds():
-    scene = scene_of(session(4, seed=1))
+    scene = scene_of(session(1, seed=1))
 
     def stepping(by):
         return scene.at(replace(scene.arm, step=np.full_like(scene.step, by)), scene.p_observed, scene.tau_gravity)
@@ -111,13 +114,31 @@ def test_friction_at_a_reference_points_to_where_the_joint_came_from():
     references = np.flatnonzero(scene.load_case == 0)
     loaded = scene.rows.under_load[:, None]
     scene = scene.with_wrench(scene.force_in_tool * loaded, scene.torque_in_tool * loaded)
-    relaxed, held, turned = (_hysteresis(scene, r=0.03, h=1e-7, arrived=a) for a in (0.0, 0.5, -0.5))
+    relaxed, held, turned = (_hysteresis(scene, r=0.03, h=1e-7, arrived=a, freed=1e4) for a in (0.0, 0.5, -0.5))
     np.testing.assert_allclose(relaxed[references], 0.0, atol=1e-12)
     np.testing.assert_allclose(held[references], -turned[references], atol=1e-12)
     np.testing.assert_array_equal(held[references[0]], np.zeros(3))  # nothing is known of what was before the session
     later = references[1:]
     turns = 0.5 * 1e-7 * 0.03 * rated_torque(scene.robot) * np.tanh((scene.q[later] - scene.q[later - 1]) / 0.01)
     np.testing.assert_allclose(held[later], np.einsum("nik,nk->ni", scene.J[later], turns), rtol=1e-6, atol=1e-12)
+
+
+@given(n=st.integers(1, 40), seed=st.integers(0, 2**16))
+def test_what_is_held_in_turn_is_that_of_one_row_after_the_other(n, seed):
+    rng = np.random.default_rng(seed)
+    a, b, u = rng.uniform(0.0, 1.0, (n, 2, 3)) ** 3, rng.normal(size=(n, 2, 3)), rng.normal(size=(n, 1, 3))
+    r = rng.uniform(0.1, 1.0, (2, 3))
+    last, expected = np.zeros((2, 3)), np.empty((n, 2, 3))
+    for i in range(n):
+        last = expected[i] = np.clip(a[i] * last + b[i], u[i] - r, u[i] + r)
+    np.testing.assert_allclose(clipped_in_turn(a, b, u - r, u + r), expected, atol=1e-12)
+
+
+def test_friction_that_motion_does_not_free_is_held_from_pose_to_pose():
+    scene = scene_of(session(4, seed=1))
+    later = np.flatnonzero(scene.load_case == 0)[1:]
+    kept, freed = (_hysteresis(scene, r=0.03, h=1e-7, freed=f) for f in (0.0, 1e4))
+    assert np.abs(freed[later]).max() < 1e-3 * np.abs(kept[later]).max()
 
 
 def test_the_softest_place_of_a_rail_is_where_it_says():
