@@ -76,7 +76,7 @@ def machining(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
     return _calibrated("machining", tmp_path_factory.mktemp("machining"))
 
 
-@pytest.mark.parametrize("name", ["afp", "machining"])
+@pytest.mark.parametrize("name", ["afp", pytest.param("machining", marks=pytest.mark.long)])
 def test_the_papers_own_correction_does_on_the_hard_plant_what_it_did_on_the_real_cell(
     name: str, request: pytest.FixtureRequest
 ) -> None:

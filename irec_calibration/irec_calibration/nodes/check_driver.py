@@ -26,6 +26,7 @@ from ..cell import read_cell
 from ..driver_check.moving import BEFORE_PRESSING
 from ..driver_check.observed import Item, report
 from ..errors import CellError, IrecError
+from ..files import check_replaceable
 from ..poses.store import read_poses
 from ..procedure.axes import read_axes
 from ..procedure.settings import read_settings
@@ -34,6 +35,7 @@ from .driver_client import DriverClient
 
 LEVELS = ("passive", "moves", "offset", "pressing")
 FREE = 0.10  # m above the surface for moves in free air
+REPORT = rb'\A\[\s*(\]|\{\s*"level")'  # how a report begins
 PARAMETERS = (
     P("cell", "", "cell file (irec-cell/1)"),
     P("level", "passive", f"how far to go: {', '.join(LEVELS)}; each does those before it"),
@@ -54,6 +56,8 @@ def run(node: GuardedNode) -> list[Item]:
     levels = LEVELS[: LEVELS.index(p["level"]) + 1]
     if "pressing" in levels and not (p["surface_confirmed"] and p["approach"]):
         raise CellError("level pressing needs -p approach:=true and -p surface_confirmed:=true: it presses on the first pose")
+    if p["report"]:
+        check_replaceable(p["report"], "a report of check_driver", (REPORT,))
     cell = read_cell(p["cell"])
     axes, settings = read_axes(cell), read_settings(cell)
     client = DriverClient(node)

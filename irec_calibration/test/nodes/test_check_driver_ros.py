@@ -49,6 +49,15 @@ def test_the_simulated_cell_passes_every_level(ros_domain: int, start_process: S
     passes_every_level(tmp_path)
 
 
+def test_a_file_that_is_no_report_is_not_written_over(ros_domain: int, tmp_path: Path) -> None:
+    there = tmp_path / "cell.yaml"
+    there.write_text(CELL.read_text())
+    command = node("irec_calibration.nodes.check_driver", "-p", f"report:={there}")
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2 and f"{there}: exists and is not a report of check_driver" in done.stderr
+    assert there.read_text() == CELL.read_text()
+
+
 @pytest.mark.long
 def test_the_driver_for_ros2_control_passes_every_level(ros_domain: int, start_process: Start, tmp_path: Path) -> None:
     from irec_calibration.commands.tool_load import parameter_file
