@@ -28,6 +28,7 @@ from .ground import Ground
 from .held_out import held_out, only_good_poses
 from .level import Repeats, inferred, repeats_of
 from .naming import one_cause_of_bad_rows
+from .one_curve import of_one_curve
 from .part_sets import Parts
 from .parts import prune
 from .remainder import Part, Remainder, grow
@@ -167,6 +168,10 @@ def assess(
         else:
             names.append(i)
     names.sort(key=lambda i: -built.evidence.get(i, 0.0))
+    curve = of_one_curve(names, pruned.parts, final.ids) if study.ready.kind == "loaded" else ()
+    if curve:
+        names = [i for i in names if i not in curve]
+        one_of.append(curve)
     weight = readings is not None and readings.log_evidence > settings.nats_to_name
     if names or weight:
         status = "missing_effect"
