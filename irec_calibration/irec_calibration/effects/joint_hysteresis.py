@@ -156,7 +156,7 @@ class _Course:
         travel, first = travel_to_reference(scene), (scene.previous < 0)[self._order]
         u = self.torque[self._order]
         keep = np.exp(-np.abs(freed * np.where(scene.previous[:, None] < 0, travel, scene.step)[self._order]))
-        keep[0] = 0.0
+        keep[:1] = 0.0  # nothing is known of what was before the session
         self._towards_last = ~first  # rows that are freed towards the torque of the row before
         towards = np.where(first[:, None], u, np.concatenate([u[:1], u[:-1]]))
         came = np.tanh(travel[self._order] / TURNS) * first[:, None]

@@ -15,7 +15,7 @@ from ..typing import Array
 from .springs import answer_of, by_geometry, by_parameters, displacement_at, is_kept, response_of
 from .term import Estimate, Term
 
-TORQUE_STEP = 0.05  # N m at most, of what pulls at the arm, for derivatives
+TORQUE_STEP = 0.005  # N m at most, of what pulls at the arm, for derivatives
 WRENCH_STEP = 1e-3  # of the scale of a parameter that changes the wrench
 
 

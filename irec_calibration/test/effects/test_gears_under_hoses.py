@@ -72,7 +72,8 @@ def test_a_stiffening_gear_under_a_hose_turns_by_the_law_of_its_whole_torque(sce
         ("joint_stiffening", {"slow": 0.5}),
         ("joint_stiffening", {"slow": 1.0}),
         ("joint_hysteresis", {"spread": 1.0, "freed": 300.0, "arrived": 0.5, f"early_{AXIS + 1}": 2e-7}),
-        ("joint_backlash", {f"d_{AXIS + 1}": 2e-4, "uneven": 1.0}),
+        ("joint_backlash", {f"p_{AXIS + 1}": 2e-4, "uneven": 1.0}),
+        ("joint_backlash", {"held": 1.0}),
     ],
 )
 def test_what_gears_make_of_a_hose_is_part_of_the_derivative_by_its_force(
