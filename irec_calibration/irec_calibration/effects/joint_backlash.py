@@ -145,13 +145,15 @@ class _Backlash(ColumnLaw):
         self.reset()
 
     def reset(self) -> None:
-        self._played, self._before = np.zeros_like(self._soft), np.zeros_like(self._soft)
+        self._played: Array | None = None
+        self._before = np.zeros_like(self._soft)
 
     def displacement(self, tick: Tick, tau: Array) -> Array:
         preload = tick.tau_gravity
         whole = tau + tick.tau_unseen + preload
-        self._played = np.clip(self._played, whole - self._r, whole + self._r)
         self._before = np.clip(self._before, preload - self._r, preload + self._r)
+        last = self._before if self._played is None else self._played  # a course begins without a load
+        self._played = np.clip(last, whole - self._r, whole + self._r)
         side, before = np.tanh(self._played / self._soft), np.tanh(self._before / self._soft)
         out: Array = self._half * (side - before) + self._beside * (side**2 - before**2)
         return out
