@@ -42,7 +42,9 @@ def read_bytes(path: str | Path, what: str, error: type[IrecError] = IrecError, 
                 raise error(f"{name}: the {what} is {_kind(status.st_mode)}; a regular file is needed")
             if status.st_size > limit:
                 raise error(f"{name}: the {what} has {status.st_size} bytes, at most {limit} are read; is it the right file?")
-            data = file.read(limit + 1)
+            data = file.read(status.st_size + 1)  # no more: memory is set aside for what is asked for
+            if len(data) > status.st_size:  # it has grown, or is one whose size nobody knows
+                data += file.read(limit + 1 - len(data))
     except OSError as cause:
         raise error(f"{name}: can't read the {what}: {cause.strerror}") from cause
     if len(data) > limit:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import os
 import socket
+import tracemalloc
+from pathlib import Path
 
 import pytest
 from irec_calibration.errors import CellError, IrecError, RobotError
@@ -68,6 +70,21 @@ def test_devices_pipes_sockets_and_folders_are_no_files(tmp_path):
 def test_a_robot_description_that_is_a_device_is_refused():
     with pytest.raises(RobotError, match="/dev/zero: the robot description is a device"):
         Robot.from_urdf("/dev/zero")
+
+
+def test_a_small_file_takes_no_more_memory_than_its_size_whatever_the_limit(tmp_path):
+    (tmp_path / "small").write_bytes(b"x" * 1000)
+    tracemalloc.start()
+    try:
+        assert len(read_bytes(tmp_path / "small", "file", limit=500_000_000)) == 1000
+        assert tracemalloc.get_traced_memory()[1] < 200_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_file_whose_size_nobody_knows_is_read_to_its_end():
+    assert Path("/proc/self/status").stat().st_size == 0
+    assert b"VmRSS" in read_bytes("/proc/self/status", "file")
 
 
 def test_a_file_beyond_the_limit_is_not_read(tmp_path):
