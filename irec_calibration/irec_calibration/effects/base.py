@@ -262,8 +262,8 @@ class Effect(ABC):
         raise NotImplementedError(f"{self.id} does not act on the wrench")
 
     def pull(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
-        """For `loads_arm`: force and torque at the TCP, in tool0, (n, 3) each, N and N m, that laws of gears answer to too; none
-        where an effect does not say."""
+        """For `loads_arm`: force and torque at the TCP, in tool0, (n, 3) each, N and N m, that laws of gears answer to too, in
+        proportion to theta and the same whatever the load; none where an effect does not say."""
         return np.zeros((len(scene), 3)), np.zeros((len(scene), 3))
 
     def placed(self, session: Session, values: dict[str, float]) -> Json:

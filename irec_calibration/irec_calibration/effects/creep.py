@@ -124,7 +124,7 @@ def _carried(scene: Scene, T: float) -> Array:
     when all is done. By what the weight still does the tool moves between reference and row too; the live correction, which knows
     no reference, leaves that out."""
     tau = scene.tau + scene.tau_gravity
-    order = np.lexsort((scene.load_case, scene.stamp))
+    order = scene.rows.in_time
     out = np.empty_like(tau)
     out[order] = _lagged(tau[order], scene.stamp[order] / T)
     return np.asarray(out - scene.tau_gravity)

@@ -14,6 +14,7 @@ from .live import ColumnLaw, LiveForm, Tick, drives
 from .scales import at_border, comes_near_zero, may_be_wide
 from .scene import Scene
 from .traits import Ageing, Family
+from .travel import clipped_in_turn
 
 AT_ONCE = 1e-3  # share of the rated torque below which the side on which the gear lies is not defined
 TAKEN_UP_OVER = (AT_ONCE, 0.004, 0.015)
@@ -112,22 +113,9 @@ def _side(scene: Scene, w: float, held: float) -> Array:
     soft = w * rated_torque(scene.robot)
     torque = scene.tau_acting + scene.tau_gravity
     if held >= 0.5:
-        order = np.arange(len(scene)) if scene.clock == "none" else np.lexsort((scene.load_case, scene.stamp))
-        torque[order] = played(torque[order], HELD_UP_TO * soft)
+        order, r = np.arange(len(scene)) if scene.clock == "none" else scene.rows.in_time, HELD_UP_TO * soft
+        torque[order] = clipped_in_turn(1.0, 0.0, torque[order] - r, torque[order] + r)  # the play operator
     return np.asarray(np.tanh(torque / soft))
-
-
-def played(x: Array, r: Array) -> Array:
-    """Play operator of each column of x, (n, k), from the middle on: what is followed only where it is further off than r, (k,).
-
-    Each row is clip(last, x - r, x + r), and a clip of a clip is a clip: all are composed with those before in log2(n) steps.
-    """
-    low, high = x - r, x + r
-    step = 1
-    while step < len(x):
-        low[step:], high[step:] = (np.clip(b[:-step], low[step:], high[step:]) for b in (low, high))
-        step *= 2
-    return np.clip(0.0, low, high)
 
 
 class _Backlash(ColumnLaw):

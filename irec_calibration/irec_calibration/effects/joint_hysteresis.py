@@ -14,7 +14,7 @@ from .live import ColumnLaw, LeftOut, LiveForm, Tick, drives
 from .scales import largest_lag, typical_compliance
 from .scene import Scene
 from .traits import Family
-from .travel import travel_to_reference
+from .travel import clipped_in_turn, travel_to_reference
 
 FRACTIONS_OF_RATED = (0.012, 0.03, 0.075)
 APART = 4.0  # factor between the thresholds of the sliders
@@ -151,7 +151,7 @@ class _Course:
 
     def __init__(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> None:
         r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
-        self._order = np.lexsort((scene.load_case, scene.stamp))
+        self._order = scene.rows.in_time
         self.torque = scene.tau_acting + scene.tau_gravity
         travel, first = travel_to_reference(scene), (scene.previous < 0)[self._order]
         u = self.torque[self._order]
@@ -162,7 +162,7 @@ class _Course:
         came = np.tanh(travel[self._order] / TURNS) * first[:, None]
         offset = ((1.0 - keep) * towards)[:, None] + arrived * ((1.0 - keep) * came)[:, None] * r
         low, high = u[:, None] - r, u[:, None] + r
-        at = clipped_in_turn(np.broadcast_to(keep[:, None], low.shape), offset, low, high)
+        at = clipped_in_turn(keep[:, None], offset, low, high)
         inside = np.abs(at - u[:, None]) < (1.0 - ROUNDING) * r
         self._keep, self._inside, self.played = keep, inside, np.empty_like(at)
         self.played[self._order] = at
@@ -214,23 +214,6 @@ def thresholds(fraction: float, spread: float) -> tuple[Array, Array, Array]:
     """Thresholds as shares of the rated torque of `h` (one, or three about it where spread is above 0), `early`, `late`."""
     middle = np.array([[fraction]]) if spread <= 0.0 else fraction * APART ** (spread * np.array([[-1.0], [0.0], [1.0]]))
     return middle, np.array([[fraction / APART]]), np.array([[fraction * APART]])
-
-
-def clipped_in_turn(a: Array, b: Array, low: Array, high: Array) -> Array:
-    """y_i = clip(a_i y_(i-1) + b_i, low_i, high_i) with a_i >= 0 along the first axis, from y = 0 on.
-
-    Such a function of such a one is of this kind again: all are composed with those before in log2(n) steps.
-    """
-    a, b, low, high = np.array(a), np.array(b), np.array(low), np.array(high)
-    step = 1
-    while step < len(a):
-        last_a, last_low, last_high = a[step:].copy(), low[step:].copy(), high[step:].copy()
-        last_b = b[step:].copy()
-        a[step:] = last_a * a[:-step]
-        b[step:] = last_a * b[:-step] + last_b
-        low[step:], high[step:] = (np.clip(last_a * end[:-step] + last_b, last_low, last_high) for end in (low, high))
-        step *= 2
-    return np.clip(b, low, high)
 
 
 def released(played: Array, tau: Array, moved: Array) -> Array:

@@ -48,6 +48,11 @@ class Rows:
         return tuple(out[:-1])
 
     @cached_property
+    def in_time(self) -> IntArray:
+        """Rows as they were read one after the other, those of one moment by load case."""
+        return np.lexsort((self.load_case, self.stamp))
+
+    @cached_property
     def short_dwell(self) -> float:
         """Time under the load that all rows but one in twenty exceed, of those that were read some time after it came, s; 0 where
         there are none."""

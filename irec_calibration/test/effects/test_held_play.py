@@ -7,10 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from irec_calibration.effects import find_effect
-from irec_calibration.effects.joint_backlash import HELD_UP_TO, played
+from irec_calibration.effects.joint_backlash import HELD_UP_TO
 from irec_calibration.effects.live import Tick
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
@@ -30,29 +28,21 @@ def theta(scene: Scene, axis: int, held: float) -> np.ndarray:
     return np.array([values.get(p.name, p.start) for p in BACKLASH.parameters(scene)])
 
 
-@settings(max_examples=60, deadline=None)
-@given(n=st.integers(1, 70), r=st.floats(0.0, 3.0), seed=st.integers(0, 2**16))
-def test_the_play_operator_is_that_of_one_row_after_the_other(n: int, r: float, seed: int) -> None:
-    x = np.random.default_rng(seed).normal(0.0, 2.0, (n, 3))
-    last, expected = np.zeros(3), np.empty_like(x)
-    for i in range(n):
-        last = expected[i] = np.clip(last, x[i] - r, x[i] + r)
-    np.testing.assert_allclose(played(x, np.full(3, r)), expected, atol=1e-15)
-
-
 def test_an_axis_without_weight_stays_at_the_next_reference_where_the_last_load_left_it(scene: Scene) -> None:
     assert not scene.tau_gravity[:, 0].any(), "axis 1 stands upright"
     r = HELD_UP_TO * W * rated_torque(scene.robot)[0]
     side = 2.0 * (np.einsum("nik,ni->nk", scene.J, BACKLASH.displacement(scene, theta(scene, 0, 1.0)))[:, 0]) / PLAY
     side /= (scene.J[:, :, 0] ** 2).sum(axis=1)
     order = np.lexsort((scene.load_case, scene.stamp))
-    strong = [i for i in order if abs(scene.tau[i, 0]) > 3.0 * r]
+    strong, compared = [i for i in order if abs(scene.tau[i, 0]) > 3.0 * r], 0
     for row in (i for i in order if scene.load_case[i] == 0):
         before = [i for i in strong if scene.stamp[i] < scene.stamp[row]]
         later = [i for i in order if before and scene.stamp[before[-1]] < scene.stamp[i] < scene.stamp[row]]
         if before and not any(abs(scene.tau[i, 0]) > r for i in later):
             held = np.sign(scene.tau[before[-1], 0]) * np.tanh(HELD_UP_TO)
             assert side[row] == pytest.approx(held, abs=0.03), "the sensor reads a little at rest"
+            compared += 1
+    assert compared > 3
 
 
 def test_a_weight_that_holds_the_gear_to_one_side_leaves_nothing_of_the_memory(scene: Scene) -> None:

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from irec_calibration.effects import find_effect
-from irec_calibration.effects.joint_hysteresis import clipped_in_turn
 from irec_calibration.effects.of_session import scene_of
+from irec_calibration.effects.travel import clipped_in_turn
 from irec_calibration.errors import ModelError
 from irec_calibration.model import Estimate, Model, Term
 from irec_calibration.robot import Robot
