@@ -35,7 +35,7 @@ class ProcedureReports:
             self._rows.publish(row)
         for event in events:
             self._events.publish(String(data=event_text(event)))
-            if event.kind in ("skipped", "rejected", "discarded", "stopped"):
+            if event.kind in ("skipped", "nearer", "rejected", "discarded", "stopped"):
                 where = f"pose {event.pose}, load case {event.load_case}"
                 self._node.get_logger().warning(f"{event.kind}: {where}: {event.text}")
 

@@ -63,7 +63,11 @@ class Row:
 
 @dataclass(frozen=True)
 class Event:
-    """For the record: `kind` is complete, skipped, rejected, discarded (rows that do not count), paused, stopped or finished."""
+    """For the record.
+
+    `kind` is complete, skipped, nearer (the tooling; measured again), rejected, discarded (rows that do not count), paused,
+    stopped or finished.
+    """
 
     kind: str
     pose: int

@@ -15,6 +15,7 @@ from .by_encoders import commanded_problem
 from .checks import contact_problem, contact_problem_by_encoders
 from .commands import MoveJoint, MoveLinear, Row
 from .marker_way import contact_way_problem
+from .nearer import met_the_tooling
 from .plausible import Standing, newtons
 from .standstill import Window
 
@@ -151,11 +152,11 @@ def _refuse_reference(p: Procedure, read: Array, limit: float) -> None:
     """A force at the reference is contact made too early, or bias or weight that was not removed: that reads in free air too."""
     in_air = p.force_in_air
     if float(np.linalg.norm(in_air)) <= limit:
-        p.skip(
+        met_the_tooling(
+            p,
             f"the tool touches the tooling at the reference already: the wrench reads {np.round(read).tolist()} N, limit"
-            f" {limit:.0f} N, and {np.round(in_air).tolist()} N in free air; the tooling stands nearer than the cell file says"
+            f" {limit:.0f} N, and {np.round(in_air).tolist()} N in free air; the tooling stands nearer than the cell file says",
         )
-        p.go("position_mode")
         return
     p.stop(
         f"before contact the wrench reads {np.round(read).tolist()} N, limit {limit:.0f} N: is the sensor's bias set and the"

@@ -112,6 +112,7 @@ class Procedure:
         self.stood_at = np.nan  # cell's clock when the robot stood after it
         self.is_out = False  # nothing has moved since the robot was seen out of contact
         self.found_pressing = self.pause_wanted = False
+        self.set_out: set[int] = set()  # poses whose reference was set further out
         self.outcome = ""  # of the pose under way: empty, skipped or broken off
         self.window: Window | None = None
         self.reference: Window | None = None
@@ -169,7 +170,7 @@ class Procedure:
     def pause(self) -> None:
         """Leave the contact now and wait; the pose under way is measured again from its reference."""
         self.pause_wanted = True
-        self._break_off()
+        self.break_off()
 
     def resume(self) -> None:
         """Go on after a pause."""
@@ -179,7 +180,7 @@ class Procedure:
         """Cancel or abort: leave the contact, retract, end."""
         if not self.stopped_because:
             self.stopped_because = reason
-            self._break_off()
+            self.break_off()
 
     # --- what is asked about the run --------------------------------------------------------------------------------
 
@@ -319,7 +320,7 @@ class Procedure:
                 f" limit {self.settings.skip_limit:.0%}; the last because: {reason}"
             )
 
-    def _break_off(self) -> None:
+    def break_off(self) -> None:
         """Leave what is being done: out of contact if there may be contact, else just stop."""
         if self.state in NOT_BROKEN_OFF:
             return

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .arrival import force_rises, too_fast, touches_on_the_way
+from .nearer import met_the_tooling
 from .pressing import MODE_GRACE, PressingWatch
 from .table import PRESSING, WAY_IN, WAY_OUT
 
@@ -70,7 +71,7 @@ class Watch:
         if p.state in ("idle", "paused", "finished", "failed") or p.stopped_because:
             return
         if p.state in WAY_IN and (reason := touches_on_the_way(p)):
-            p.fail(reason)
+            met_the_tooling(p, reason)
             return
         if reason := too_fast(p):
             p.stop(reason)

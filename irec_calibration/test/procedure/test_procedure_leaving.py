@@ -156,21 +156,54 @@ def test_a_move_that_ends_half_way_ends_the_run(state: str) -> None:
     assert robot.is_safe and not robot.rows
 
 
-@pytest.mark.parametrize("state", ["advance", "near"])
-@pytest.mark.parametrize("every", [1, 2], ids=["each reading", "every second reading"])
-def test_an_advance_that_meets_the_tooling_is_cancelled_on_its_way(state: str, every: int) -> None:
-    robot = FakeRobot(6).start().run(stop_when=state)
-    for _ in range(20):
-        robot.tick()
+def touch(robot: FakeRobot, every: int = 1) -> None:
+    """Let the wrench read a contact until the way in under way is left."""
+    state = robot.procedure.state
     for k in range(20):
         robot.extra_force = np.array([0.0, 0.0, -200.0 if k % every == 0 else 0.0])
         if robot.procedure.state == state:
             robot.tick()
     robot.run(stop_when="lift")
-    assert any(isinstance(c, CancelMove) for c in robot.commands)
     robot.extra_force = np.zeros(3)
+
+
+@pytest.mark.parametrize("every", [1, 2], ids=["each reading", "every second reading"])
+def test_an_advance_that_meets_the_tooling_is_cancelled_on_its_way(every: int) -> None:
+    robot = FakeRobot(6).start().run(stop_when="advance")
+    for _ in range(20):
+        robot.tick()
+    touch(robot, every)
+    assert any(isinstance(c, CancelMove) for c in robot.commands)
     robot.run()
-    assert "touches the tooling before the reference" in robot.events[0].text
+    assert robot.events[0].kind == "skipped" and "touches the tooling before the reference" in robot.events[0].text
+    assert robot.procedure.counts.complete == 5 and robot.is_safe
+
+
+def test_a_pose_whose_tooling_is_nearer_by_millimetres_is_measured_from_further_out() -> None:
+    robot = FakeRobot(6).start().run(stop_when="near")
+    for _ in range(20):
+        robot.tick()
+    stated, met = robot.procedure.target, robot.tcp[2]
+    assert stated is not None
+    touch(robot)
+    robot.run()
+    assert robot.events[0].kind == "nearer" and "measured again from a reference that is" in robot.events[0].text
+    assert robot.procedure.counts.complete == 6 and robot.procedure.counts.skipped == 0 and robot.is_safe
+    reference = next(row for row in robot.rows if (row.pose, row.load_case) == (stated.pose, 0)).window
+    distance = robot.procedure.settings.reference_distance
+    assert abs(met - reference.p_tcp_in_base[-1, 2]) == pytest.approx(distance, abs=2e-4)
+    assert reference.p_tcp_in_base[-1, 2] != pytest.approx(stated.p_reference[2], abs=1e-3)
+
+
+def test_a_pose_that_touches_again_is_given_up() -> None:
+    robot = FakeRobot(6).start()
+    for _ in range(2):
+        robot.run(stop_when="near")
+        for _ in range(20):
+            robot.tick()
+        touch(robot)
+    robot.run()
+    assert [event.kind for event in robot.events[:2]] == ["nearer", "skipped"]
     assert robot.procedure.counts.complete == 5 and robot.is_safe
 
 

@@ -224,12 +224,14 @@ def test_a_force_before_contact_ends_the_run_before_anything_is_recorded() -> No
     assert robot.is_safe and not robot.rows
 
 
-def test_a_pose_whose_tooling_is_touched_too_early_is_skipped_and_the_run_goes_on() -> None:
+def test_a_pose_whose_tooling_is_touched_at_the_reference_is_measured_from_further_out() -> None:
     robot = FakeRobot(6).start()
     robot.run(stop_when="reference")
     robot.extra_force = np.array([-37.0, -53.0, -250.0])
     robot.run(stop_when="retract")
     robot.extra_force = np.zeros(3)
     robot.run()
-    assert robot.procedure.counts.skipped == 1 and robot.procedure.counts.complete == 5
+    assert robot.procedure.counts.skipped == 0 and robot.procedure.counts.complete == 6
+    z = [row.window.p_tcp_in_base[-1, 2] for row in robot.rows if row.load_case == 0]
+    assert z == pytest.approx([-0.006, *5 * [-0.003]]) and robot.events[0].kind == "nearer"
     assert not robot.procedure.stopped_because and robot.is_safe
