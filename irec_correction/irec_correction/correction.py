@@ -201,8 +201,13 @@ class Correction:
         self.limiter.set_limits(limits)
 
     def start_session(self, now: float) -> None:
-        """A new session of the robot, which applies no offset yet: begin at zero, ramp in again where it was running."""
+        """A new session of the robot, which applies no offset yet: begin at zero, ramp in again where it was running.
+
+        It may begin where the one before was broken off, in contact: the load is looked at as at the start.
+        """
         self.limiter.reset()
+        if self.supervisor.state not in (State.INACTIVE, State.FAULT):
+            self._begins = now
         self.supervisor.restart_ramp(now, self.present, "a new session of the robot has begun")
 
     def resynchronise(self, translation: Array, rotation: Array) -> None:

@@ -41,6 +41,16 @@ def test_without_contact_it_begins_and_with_leave_it_begins_in_contact():
     assert begun(1.0, start_load=10.0).run(1.5).state is State.ACTIVE
 
 
+def test_a_new_session_of_the_robot_in_contact_is_a_beginning_too():
+    rig = begun(0.1)
+    rig.run(1.5)
+    rig.wrench = WRENCH.copy()
+    assert rig.run(1.0).state is State.ACTIVE
+    rig.correction.start_session(rig.now)
+    out = rig.run(2.5)
+    assert out.state is State.FAULT and "where the correction is to begin" in out.reason
+
+
 def test_a_share_that_is_no_number_is_refused():
     for share in (-0.1, float("nan")):
         with pytest.raises(SettingsError, match="start_load"):

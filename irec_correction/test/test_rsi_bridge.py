@@ -47,6 +47,7 @@ class Drive:
         self.controller = RsiController(("127.0.0.1", self.port), timeout=10**6)
         self.block, self.rng = SharedValues.create(WRENCH_SIZE), np.random.default_rng(0)
         self.sensor_works = True
+        self.load = 1.0  # share of WRENCH
 
     def wait_for_bridge(self) -> None:
         """A controller that was running before the bridge would get no answer: it might hold a correction."""
@@ -57,7 +58,7 @@ class Drive:
 
     def state(self) -> RobotState:
         if self.sensor_works:
-            noisy = WRENCH + self.rng.normal(0, 0.2, 6)
+            noisy = self.load * WRENCH + self.rng.normal(0, 0.2, 6)
             self.block.write(np.array([time.monotonic(), self.controller.counts.cycles, 0.0, *noisy]))
         return STATE
 
@@ -105,7 +106,7 @@ def watcher(ros_domain) -> Iterator[RosSide]:
 def start_bridge(start_process, drive: Drive, **parameters: object) -> subprocess.Popen[bytes]:
     given = {
         "cell": CELL, "port": drive.port, "filter.cutoff": 0.0, "watch.wrench_timeout": WATCH, "watch.joints_timeout": WATCH,
-        "watch.frozen_after": WATCH, "watch.age_limit": WATCH, **parameters,
+        "watch.frozen_after": WATCH, "watch.age_limit": WATCH, "start_load": 10.0, **parameters,
     }  # fmt: skip
     arguments = [item for k, v in given.items() for item in ("-p", f"{k}:={v}")]
     return start_process([sys.executable, "-m", "irec_correction.nodes.rsi_bridge", "--ros-args", *arguments], name="rsi_bridge")
@@ -235,8 +236,12 @@ def test_offsets_of_a_topic_are_followed_then_held_and_faded_when_they_stop(driv
     assert drive.largest_step <= STEP
 
 
-@pytest.mark.parametrize(("wrong", "text"), [("frame", "'base_link'"), ("stamp", "from now")])
-def test_a_wrench_by_topic_in_another_frame_or_of_another_time_is_not_used(drive, watcher, start_process, tmp_path, wrong, text):
+@pytest.mark.parametrize(
+    ("wrong", "text"), [("frame", "'base_link'"), ("stamp", "from now"), ("sender", "2 publishers of /wrench")]
+)  # fmt: skip
+def test_a_wrench_by_topic_in_another_frame_of_another_time_or_of_two_senders_is_not_used(
+    drive, watcher, start_process, tmp_path, wrong, text
+):
     from diagnostic_msgs.msg import DiagnosticArray
     from geometry_msgs.msg import WrenchStamped
 
@@ -253,7 +258,7 @@ def test_a_wrench_by_topic_in_another_frame_or_of_another_time_is_not_used(drive
         w = (WRENCH + drive.rng.normal(0, 0.2, 6)).tolist()
         f, m = message.wrench.force, message.wrench.torque
         f.x, f.y, f.z, m.x, m.y, m.z = w
-        message.header.frame_id = "tool0" if sound[0] or wrong == "stamp" else "base_link"
+        message.header.frame_id = "tool0" if sound[0] or wrong != "frame" else "base_link"
         message.header.stamp = watcher.node.get_clock().now().to_msg()
         if wrong == "stamp" and not sound[0]:
             message.header.stamp.sec = 0
@@ -262,6 +267,8 @@ def test_a_wrench_by_topic_in_another_frame_or_of_another_time_is_not_used(drive
 
     watcher.until(lambda: states and states[-1].state == CorrectionState.ACTIVE, "ACTIVE", each=cell)
     sound[0] = False
+    if wrong == "sender":
+        watcher.node.create_publisher(WrenchStamped, "wrench", 50)
     watcher.until(lambda: states[-1].state == CorrectionState.FAULT, "fault", each=cell)
     assert text in states[-1].reason
     assert any(text in s.message for m in told for s in m.status)
@@ -308,22 +315,45 @@ def test_the_lifecycle_opens_the_port_sends_offsets_fades_them_and_frees_the_por
     assert bridge.wait(START) == 0
 
 
-def test_after_a_fault_activate_is_what_the_operator_can_ask_for(drive, watcher, start_process, tmp_path):
+def test_after_a_fault_the_operator_can_activate_and_not_in_contact(drive, watcher, start_process, tmp_path):
     from lifecycle_msgs.msg import State, Transition
     from lifecycle_msgs.srv import ChangeState, GetState
+
+    from irec_msgs.msg import CorrectionState
+
+    states = watcher.collect(CorrectionState, "irec/correction/state")
 
     def state() -> int:
         return int(watcher.call(GetState, "rsi_bridge/get_state", GetState.Request(), drive.cycles).current_state.id)
 
-    start_bridge(start_process, drive, wrench_block=drive.block.name, model_path=model_of_cell(tmp_path))
+    def begins() -> None:
+        watcher.until(lambda: states and states[-1].state == CorrectionState.ACTIVE, "ACTIVE", each=drive.cycles)
+
+    def load(share: float) -> None:
+        for step in np.linspace(drive.load, share, 20):
+            drive.load = float(step)
+            drive.cycles()
+
+    def activate() -> bool:
+        request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
+        return bool(watcher.call(ChangeState, "rsi_bridge/change_state", request, drive.cycles).success)
+
+    drive.load = 0.0
+    start_bridge(start_process, drive, wrench_block=drive.block.name, model_path=model_of_cell(tmp_path), start_load=0.15)
     drive.wait_for_bridge()
+    begins()
+    load(1.0)
     drive.until(lambda: np.linalg.norm(drive.sent[-1]) > 5e-4, START, "offset")
     assert state() == State.PRIMARY_STATE_ACTIVE
     drive.sensor_works = False
     watcher.until(lambda: state() == State.PRIMARY_STATE_INACTIVE, "the node deactivates itself", each=drive.cycles)
     drive.sensor_works = True
-    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
-    assert watcher.call(ChangeState, "rsi_bridge/change_state", request, drive.cycles).success
+    load(1.0)
+    assert not activate() and np.linalg.norm(drive.sent[-1]) < 1e-7, "the robot presses on something"
+    load(0.0)
+    assert activate()
+    begins()
+    load(1.0)
     drive.until(lambda: np.linalg.norm(drive.sent[-1]) > 5e-4, START, "offset after the fault")
     assert state() == State.PRIMARY_STATE_ACTIVE
     assert drive.largest_step <= STEP

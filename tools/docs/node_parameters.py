@@ -19,7 +19,7 @@ from irec_calibration.nodes import (
     tf_node,
     tracker_driver,
 )
-from irec_correction.nodes.parameters import CAN_FT, CORRECTION, LINKS, OWN, RSI
+from irec_correction.nodes.parameters import CAN_FT, CORRECTION, LINKS, RSI
 from irec_ros.parameters import P
 from irec_sim.nodes import cell_parameters, course_side
 
@@ -35,7 +35,7 @@ NODES: tuple[tuple[str, str, tuple[P, ...], str], ...] = (  # package, executabl
     ("irec_calibration", "ros2_control_driver", ros2_control_driver.PARAMETERS, ""),
     ("irec_calibration", "tracker_driver", tracker_driver.PARAMETERS, ""),
     ("irec_calibration", "tf_node", tf_node.PARAMETERS, ""),
-    ("irec_correction", "correction_node", (*CORRECTION, *OWN, *LINKS), ""),
+    ("irec_correction", "correction_node", (*CORRECTION, *LINKS), ""),
     ("irec_correction", "rsi_bridge", RSI, RSI_TEXT),
     ("irec_correction", "can_ft_node", CAN_FT, ""),
     ("irec_sim", "cell_node", (*cell_parameters.PARAMETERS, *course_side.PARAMETERS), ""),
@@ -47,7 +47,7 @@ def files() -> dict[str, str]:
     return {
         "config/nodes/correction.yaml": HEAD
         + "All parameters of correction_node with their defaults.\n"
-        + _section("correction_node", (*CORRECTION, *OWN, *LINKS)),
+        + _section("correction_node", (*CORRECTION, *LINKS)),
         "config/nodes/rsi.yaml": HEAD
         + "What rsi_bridge has beyond the parameters of correction_node, and can_ft_node.\n"
         + _section("rsi_bridge", RSI)

@@ -60,7 +60,7 @@ class CorrectionNode(Managed):
         super().__init__("correction_node")
         self._made = time.monotonic()
         self._told = State.INACTIVE  # in diagnostics, at once
-        self._p = Parameters(self, (*parameters.CORRECTION, *parameters.OWN, *parameters.LINKS))
+        self._p = Parameters(self, (*parameters.CORRECTION, *parameters.LINKS))
         refuse_unknown_parameters(self)
         for name in [p.name for p in parameters.CORRECTION if p.settable]:
             self._p.when_set(name, self._take_limits)
@@ -149,7 +149,7 @@ class CorrectionNode(Managed):
         where = sensor_in_tool(robot, frame) if raw else None
         conditioner = Conditioner(filters, where, parameters.tool_load(p), parameters.cable(p), gravity)
         self._chain_clock = ChainClock(self)
-        settings = parameters.correction_settings(p, frame, p["start_load"])
+        settings = parameters.correction_settings(p, frame)
         if self._chain_clock.simulated:  # it may run faster than this machine passes messages on
             settings = replace(settings, watchdog=replace(settings.watchdog, age_limit=math.inf))
         self._quality = None if self._chain_clock.simulated else InputQuality({"wrench": p["wrench_rate"], "joint_states": 0.0})

@@ -19,7 +19,7 @@ from ..errors import ActivationError
 from ..obedience import LATENCY, Obedience
 from ..watchdog import Fault
 from .chain_clock import ChainClock
-from .input_senders import InputSenders
+from .input_senders import InputSenders, two_senders
 from .offset_topics import OffsetTopics, refusal
 
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -59,10 +59,7 @@ class CorrectionWatch:
         if others := self._offsets.others():
             raise ActivationError(refusal(others))
         if others := self.senders.found_at_start():
-            raise ActivationError(
-                f"an input has more than one sender: {others}; end the other one"
-                " (one that was killed is forgotten after half a minute at most)"
-            )
+            raise ActivationError(two_senders(others))
 
     def look(self, now: float) -> None:
         """Before a tick: two senders of an offset make it jump between theirs, each of them fades out; of two senders of an input

@@ -11,6 +11,14 @@ LOOK = 0.1  # s between two looks at the graph
 FORGET = 10.0  # s after which joint states that are none of this robot's count no more
 
 
+def two_senders(others: str) -> str:
+    """Why a node is not activated: `others`, as `InputSenders.found` tells them, send an input."""
+    return (
+        f"an input has more than one sender: {others}; end the other one"
+        " (one that was killed is forgotten after half a minute at most)"
+    )
+
+
 class InputSenders:
     """Publishers of the inputs of one node. Times in s, CLOCK_MONOTONIC."""
 
@@ -18,8 +26,9 @@ class InputSenders:
         self, others: Callable[[str, int], str], alone: Sequence[str], joints: str, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """others: who publishes a topic beside so many, for people. alone: topics that one node may publish. joints: topic of the
-        joint states, on which others may publish joints that are not of this robot."""
+        joint states, on which others may publish joints that are not of this robot; empty: none is taken."""
         self._others, self._alone, self._joints, self._clock = others, tuple(alone), joints, clock
+        self._topics = (*self._alone, *([joints] if joints else []))
         self._since: dict[str, float] = {}
         self._strangers: dict[tuple[str, ...], float] = {}
         self._looked, self._found = -LOOK, ""
@@ -33,7 +42,7 @@ class InputSenders:
         now = self._clock()
         if now - self._looked >= LOOK:
             self._looked = now
-            texts = [text for topic in (*self._alone, self._joints) if (text := self._lasting(topic, now))]
+            texts = [text for topic in self._topics if (text := self._lasting(topic, now))]
             self._found = "; ".join(texts)
         return self._found
 

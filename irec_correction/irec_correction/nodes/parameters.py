@@ -4,7 +4,6 @@ written from these tables (`python tools/docs/node_parameters.py`)."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -74,6 +73,7 @@ CORRECTION = (
     P("limit.rotation_rate", 0.05, "fastest change of the offset's rotation", 1e-4, 1.0, unit="rad/s", settable=True),
     P("limit.rotation_acceleration", 2.0, "largest acceleration of the offset's rotation", 1e-3, 100.0, "rad/s^2", settable=True),
     P("predicted_limit", LARGEST_OFFSET, "largest deflection that a model may predict within its envelope", 1e-4, 0.5, unit="m"),
+    P("start_load", 0.15, "share of the model's largest force with which the correction may begin: more is a contact", 0.0, 10.0),
     P("time.ramp_in", 0.5, "from the present offset to the model's", 0.0, 60.0, unit="s"),
     P("time.hold", 0.25, "the last offset is held while an input is missing", 0.0, 10.0, unit="s"),
     P("time.fade", 1.0, "from the held offset to zero", 0.0, 60.0, unit="s"),
@@ -98,9 +98,6 @@ CORRECTION = (
 )
 
 # what correction_node has beyond the table above; rsi_bridge can't take them
-OWN = (
-    P("start_load", 0.15, "share of the model's largest force with which the correction may begin: more is a contact", 0.0, 10.0),
-)
 LINKS = (
     P("links.topic", "", "joint states behind the gears (secondary encoders); empty: none. The model is one of what lies beyond"),
     P("links.file", "", "table of the course without process (irec links); empty: the windup at the start is taken off"),
@@ -175,7 +172,7 @@ def rail_range(cell: Cell | None) -> RailRange | None:
     return None if cell.rail is None else RailRange(float(cell.rail.lower), float(cell.rail.upper))
 
 
-def correction_settings(v: Parameters, wrench_frame: str, start_load: float = math.inf) -> CorrectionSettings:
+def correction_settings(v: Parameters, wrench_frame: str) -> CorrectionSettings:
     """Settings of the chain. Raises SettingsError."""
     watch = {f: v[f"watch.{f}"] for f in WatchdogSettings.__dataclass_fields__ if f != "wrench_frame"}
     return CorrectionSettings(
@@ -185,7 +182,7 @@ def correction_settings(v: Parameters, wrench_frame: str, start_load: float = ma
         lead_smoothing=v["lead_smoothing"],
         lead_limit=v["lead_limit"],
         need_envelope=v["need_envelope"],
-        start_load=start_load,
+        start_load=v["start_load"],
         limits=offset_limits(v),
         times=StateTimes(**{f: v[f"time.{f}"] for f in StateTimes.__dataclass_fields__}),
         watchdog=WatchdogSettings(wrench_frame=wrench_frame, **watch),

@@ -35,6 +35,7 @@ from ..watchdog import Fault, Finding
 from . import parameters
 from .chain_clock import ChainClock
 from .fade_out import not_at_zero
+from .input_senders import InputSenders, two_senders
 from .managed import Managed, run_managed
 from .model_checks import Mounted, calibration_in_force, read_checked
 from .offset_topics import OFFSET, refusal, wait_for_discovery
@@ -78,6 +79,8 @@ class RsiNode(Managed):
             wait_for_discovery(self._made)
             if others := self._monitor.others:
                 raise SettingsError(refusal(others))
+            if others := self._senders.found_at_start():
+                raise SettingsError(two_senders(others))
         if why := self._ask("start"):
             raise SettingsError(why)
         self._monitor.state = State.INACTIVE  # a fault that was is over; the loop tells what follows
@@ -99,7 +102,7 @@ class RsiNode(Managed):
         wrench_frame = str(p["sensor_frame"]) if p["raw_wrench"] else "tool0"
         self._inputs = RsiInputs(
             self._clock_of_chain, wrench_frame, p["watch.clock_tolerance"], max(p["watch.force_range"], p["watch.torque_range"]),
-            self._pass_on_refusal, lambda: other_senders(self, self.resolve_topic_name(OFFSET), 1),
+            self._pass_on_refusal, lambda: self._others(OFFSET, 1),
         )  # fmt: skip
         self._mounted = Mounted(
             self._cell.robot, self._serial, str(p["tool"]) or self._cell.tool_name, p.three("gravity"), self._cell.payload,
@@ -109,6 +112,8 @@ class RsiNode(Managed):
         names = list(self._cell.robot.joint_names)
         computes = p["source"] == "chain"
         self._monitor = RsiMonitor(self, self._report, self._latency, names, self._serial, computes, self._status)
+        self._two_senders = False  # the loop was told of two senders of an input
+        self._senders = InputSenders(self._others, self._topics_taken(), joints="")
         self.entities += self._monitor.entities
         self._begin()
         self._begun = True
@@ -119,6 +124,16 @@ class RsiNode(Managed):
                 raise SettingsError(why)
         elif p["calibrations"]:
             self._take_calibration(str(p["cell"]), str(p["calibrations"]))
+
+    def _others(self, topic: str, own: int) -> str:
+        """Who publishes a topic beside `own` publishers, for people."""
+        return other_senders(self, self.resolve_topic_name(topic), own)
+
+    def _topics_taken(self) -> tuple[str, ...]:
+        """Topics of inputs that one node may publish; the joint angles come from the controller."""
+        if self._p["source"] != "chain" or self._p["wrench_block"]:
+            return ()
+        return ("wrench_raw" if self._p["raw_wrench"] else "wrench",)
 
     def _take_calibration(self, cell: str, folder: str) -> None:
         """As correction_node: the calibration in force is followed once somebody activates this node."""
@@ -177,8 +192,7 @@ class RsiNode(Managed):
         subscribe, serve = self.create_subscription, self.create_service
         if p["source"] == "chain":
             made.append((self.destroy_service, serve(ActivateModel, "irec/correction/activate_model", self._on_activate_model)))
-            if not p["wrench_block"]:
-                topic = "wrench_raw" if p["raw_wrench"] else "wrench"
+            for topic in self._topics_taken():
                 made.append((self.destroy_subscription, subscribe(WrenchStamped, topic, self._inputs.take_wrench, IN_QOS)))
         else:
             take = self._inputs.take_offset
@@ -244,9 +258,17 @@ class RsiNode(Managed):
         if not self._begun:  # it was due already when the node was cleaned up
             return
         self._listen(0.0)
+        self._look_for_senders()
         self._monitor.publish()
         if self._monitor.state is State.FAULT and self.active and self._p["source"] == "chain":
             self.trigger_deactivate()  # stays in FAULT; so "activate" is what the operator can ask for
+
+    def _look_for_senders(self) -> None:
+        """Of two senders of an input nobody knows whom to believe."""
+        found = self._senders.found()
+        if bool(found) != self._two_senders:
+            self._two_senders = bool(found)
+            self._pass_on_refusal("sender of an input", Finding(Fault.OTHER_SENDER, found) if found else None)
 
     def _on_second(self) -> None:
         if not self._begun:
