@@ -115,7 +115,7 @@ class Line:
                 "rsi_bridge", cell=CELL, port=port, wrench_block=self.block, model_path=model, raw_wrench="true",
                 **{"tool_load.mass": load.mass}, **{f"tool_load.{k}": [float(x) for x in v] for k, v in vectors.items()},
                 **{"wrench_rate": 200.0, "watch.wrench_timeout": 1.0, "watch.joints_timeout": 1.0, "watch.force_jump": 2000.0},
-                realtime_priority=50,
+                realtime_priority=50, start_load=10.0,
             ),
             name="rsi_bridge",
         )  # fmt: skip

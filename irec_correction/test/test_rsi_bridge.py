@@ -315,7 +315,7 @@ def test_the_lifecycle_opens_the_port_sends_offsets_fades_them_and_frees_the_por
     assert bridge.wait(START) == 0
 
 
-def test_after_a_fault_the_operator_can_activate_and_not_in_contact(drive, watcher, start_process, tmp_path):
+def test_it_is_activated_out_of_contact_at_its_start_and_after_a_fault(drive, watcher, start_process, tmp_path):
     from lifecycle_msgs.msg import State, Transition
     from lifecycle_msgs.srv import ChangeState, GetState
 
@@ -338,9 +338,13 @@ def test_after_a_fault_the_operator_can_activate_and_not_in_contact(drive, watch
         request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
         return bool(watcher.call(ChangeState, "rsi_bridge/change_state", request, drive.cycles).success)
 
-    drive.load = 0.0
     start_bridge(start_process, drive, wrench_block=drive.block.name, model_path=model_of_cell(tmp_path), start_load=0.15)
     drive.wait_for_bridge()
+    watcher.until(lambda: state() == State.PRIMARY_STATE_INACTIVE, "no start in contact", each=drive.cycles)
+    answered = drive.controller.counts.answered
+    drive.until(lambda: drive.controller.counts.answered > answered + 50, START, "answers all the same")
+    load(0.0)
+    assert np.linalg.norm(drive.sent, axis=1).max() < 1e-7 and activate()
     begins()
     load(1.0)
     drive.until(lambda: np.linalg.norm(drive.sent[-1]) > 5e-4, START, "offset")

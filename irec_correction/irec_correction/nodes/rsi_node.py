@@ -83,6 +83,7 @@ class RsiNode(Managed):
                 raise SettingsError(two_senders(others))
         if why := self._ask("start"):
             raise SettingsError(why)
+        self.errors.pop("activation", None)
         self._monitor.state = State.INACTIVE  # a fault that was is over; the loop tells what follows
 
     def stop(self) -> None:
@@ -166,9 +167,12 @@ class RsiNode(Managed):
         self._close_blocks()
 
     def _configure_and_activate(self) -> None:
-        """Raises SettingsError."""
-        to_follow = self._p["model_path"] or self._p["source"] == "offset_topic"
-        self.go_through(self.trigger_configure, *([self.trigger_activate] if to_follow else []))
+        """Raises SettingsError where the node can't be configured; one that must not begin answers with zero."""
+        self.go_through(self.trigger_configure)
+        if not (self._p["model_path"] or self._p["source"] == "offset_topic"):
+            return
+        if self.trigger_activate() is not TransitionCallbackReturn.SUCCESS:
+            self.errors["activation"] = f"{self.refused}; activate it once that is over"
 
     def _begin(self) -> None:
         """Send the setup. Raises SettingsError where the loop can't begin."""

@@ -109,14 +109,16 @@ class Bridge:
     def _exchange(self, pipe: Connection) -> None:
         try:
             if pipe.poll(0):
-                command, argument = pipe.recv()
-                if command == "refused":
-                    self.source.refuse(*argument)
-                elif command == "release":
-                    self._released = True
-                    self._fade_and_end()
-                else:
-                    pipe.send(("answer", self._execute(command, argument)))
+                match pipe.recv():
+                    case None:  # the node has given up: nobody waits for an answer
+                        self._fade_and_end()
+                    case "refused", argument:
+                        self.source.refuse(*argument)
+                    case "release", _:
+                        self._released = True
+                        self._fade_and_end()
+                    case command, argument:
+                        pipe.send(("answer", self._execute(command, argument)))
             now = (self.source.state, self.source.reason)
             sent = self._state_sent  # a reason changes with each value of a running fault; what is waited for does not
             if sent is None or now[0] is not sent[0] or (now[0] is State.INACTIVE and now[1] != sent[1]):
