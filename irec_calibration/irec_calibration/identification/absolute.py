@@ -242,15 +242,36 @@ def with_better_joints(session: Session) -> Session:
     reported, other = (_geometric_misfit(s) for s in (session, commanded))
     words = f"beside the geometry reported joint angles leave {1e3 * reported:.4g} mm (median), commanded {1e3 * other:.4g} mm"
     if other < ABSOLUTE.better * reported:
+        if lag := _read_on_the_way(session, target):
+            words = f"{words}; {lag}, as joint_settling"
+            return replace(session, notes=(*session.notes, f"{words}: the reported ones (joint_*) are used"))
         return replace(commanded, notes=(*session.notes, f"{words}: the commanded ones (target_*) are used"))
     return replace(session, notes=(*session.notes, f"{words}: the reported ones (joint_*) are used"))
+
+
+def _read_on_the_way(session: Session, target: Array) -> str:
+    """A sentence where reported joint angles differ from the commanded ones by a share of the step just made: then an effect has
+    what they lack (`joint_settling`), and is to be found; else empty."""
+    from .observe import observe
+
+    step, off = observe(session).scene.step, target - session.q
+    off = off - np.median(off, axis=0)
+    near = np.abs(off).max(axis=1) < ABSOLUTE.largest_lag  # others are those of another pose
+    step, off = step[near], off[near]
+    share = (step * off).sum(axis=0) / np.maximum((step**2).sum(axis=0), 1e-12)
+    left = ((off - step * share) ** 2).sum() / max((off**2).sum(), 1e-300)
+    if session.clock == "none" or left > ABSOLUTE.left_of_lag:
+        return ""
+    axes = ", ".join(f"axis {k + 1} {1e3 * abs(a):.2g}" for k, a in enumerate(share) if abs(a) > 0.1 * np.abs(share).max())
+    return f"they differ by so many thousandths of the step before: {axes}"
 
 
 def _geometric_misfit(session: Session) -> float:
     from .gauss_newton import fitted  # which completes terms by this module
     from .observe import observe
+    from .outliers import robust_weights
 
-    seen = thinned(observe(session), ABSOLUTE.source_poses)
-    found, _ = fitted(base_terms(), seen)
+    seen, terms = thinned(observe(session), ABSOLUTE.source_poses), base_terms()
+    found, _ = fitted(terms, seen.weighted(robust_weights(seen, terms)))  # one wrong row bends a fit of few poses by centimetres
     residual = seen.y - seen.of(total_displacement(found, seen.scene))
     return float(np.median(np.linalg.norm(residual, axis=1)))

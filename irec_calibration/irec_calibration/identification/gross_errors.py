@@ -1,23 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of a loaded session that are wrong by so much that no model is needed to see it: forces, joint angles."""
+"""Rows that are wrong by so much that no model is needed to see it: forces, joint angles; and what was there in their place."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from ..session.data import Session
 from ..typing import BoolArray, IntArray
 from .bad_rows import BadRow, place
-from .observe import Observation
 from .settings import OUTLIERS
 
 
-def wrong_forces(observation: Observation) -> list[BadRow]:
-    """Rows whose force differs from that of the same load case at other poses by a factor that no contact makes."""
-    session = observation.session
+def mended(session: Session) -> Session:
+    """A session with what was there in place of wrong forces and joint angles, as far as that is known: what the other rows of
+    the load case or pose have, in an absolute session the commanded angles.
+
+    The rows count for nothing by themselves. This is for what comes after them: what friction, creep and play keep of a load is
+    kept of the load that was there, and a step begins where the robot was.
+    """
+    if session.kind == "absolute":
+        return _where_commanded(session)
+    loaded = np.flatnonzero(session.load_case != 0)
+    of_force, of_angles = wrong_forces(session, loaded), _elsewhere(session)
+    if not of_force and not of_angles:
+        return session
+    force, q, p = session.force_in_tool.copy(), session.q.copy(), session.p_tcp_in_base.copy()
+    wrong = [b.rows[0] for b in of_force]
+    for row in wrong:
+        alike = np.setdiff1d(loaded[session.load_case[loaded] == session.load_case[row]], wrong)
+        force[row] = np.median(force[alike], axis=0)
+    elsewhere = [row for row, _, _ in of_angles]
+    for row, group, _ in of_angles:
+        others = np.setdiff1d(group, elsewhere)
+        q[row], p[row] = np.median(q[others], axis=0), np.median(p[others], axis=0)
+    return replace(session, force_in_tool=force, q=q, p_tcp_in_base=p)
+
+
+def _where_commanded(session: Session) -> Session:
+    rows = [row for row, _ in _not_commanded(session)]
+    if not rows or session.q_target is None:
+        return session
+    q, p = session.q.copy(), session.p_tcp_in_base.copy()
+    q[rows] = session.q_target[rows]
+    if not session.has_tcp:
+        p[rows] = session.robot.kinematics(q[rows]).p_tcp
+    return replace(session, q=q, p_tcp_in_base=p)
+
+
+def wrong_forces(session: Session, rows: IntArray) -> list[BadRow]:
+    """Rows whose force differs from that of the same load case at other poses by a factor that no contact makes.
+
+    Args:
+        rows: of the session, to be looked at, (m,).
+    """
     if session.kind != "loaded":
         return []
-    rows = observation.rows
     size = np.linalg.norm(session.force_in_tool[rows], axis=1)
     found = []
     for case in np.unique(session.load_case[rows]):
@@ -33,9 +72,37 @@ def wrong_forces(observation: Observation) -> list[BadRow]:
     return found
 
 
-def wrong_joints(observation: Observation) -> list[BadRow]:
-    """Rows of a loaded session whose joint angles are far from those of their pose."""
-    session = observation.session
+def wrong_joints(session: Session) -> list[BadRow]:
+    """Rows whose joint angles are far from those of their pose, of a reference all rows that it is one of; in an absolute session
+    from the commanded ones."""
+    found = [BadRow("joints", (row,), float("nan"), text) for row, text in _not_commanded(session)]
+    for row, group, text in _elsewhere(session):
+        spoilt = group[session.load_case[group] != 0] if session.load_case[row] == 0 else np.array([row])
+        found.append(BadRow("joints", tuple(int(r) for r in spoilt), float("nan"), text))
+    return found
+
+
+def _not_commanded(session: Session) -> list[tuple[int, str]]:
+    """Rows of an absolute session whose reported joint angles are far from the commanded ones, with the words."""
+    if session.kind != "absolute" or session.q_target is None or not np.isfinite(session.q_target).all():
+        return []
+    off = np.abs(session.q - session.q_target).max(axis=1)
+    limit = max(OUTLIERS.elsewhere_rad, OUTLIERS.elsewhere_usual * float(np.median(off)))
+    text = "joint angles up to {:.3f} rad from the commanded ones; look like {}"
+    suspects = [int(row) for row in np.flatnonzero(off > limit)]
+    return [(row, f"{place(session, row)}: {text.format(off[row], _looks_like(session, row, off[row]))}") for row in suspects]
+
+
+def _looks_like(session: Session, row: int, off: float) -> str:
+    """Whose joint angles those of a row are, that are `off` rad from where they should be."""
+    away = np.abs(session.q - session.q[row]).max(axis=1)
+    away[(session.pose == session.pose[row]) & (session.repeat == session.repeat[row])] = np.inf
+    twin = int(np.argmin(away))
+    return f"those of pose {session.pose[twin]}" if away[twin] < 0.5 * off else "not those of this pose"
+
+
+def _elsewhere(session: Session) -> list[tuple[int, IntArray, str]]:
+    """Rows of a loaded session whose joint angles are far from those of their pose, with all rows of the pose and the words."""
     if session.kind != "loaded":
         return []
     q = session.q
@@ -59,13 +126,9 @@ def wrong_joints(observation: Observation) -> list[BadRow]:
         group = np.flatnonzero(index == index[row])
         if (off[group] > limit[group]).sum() * 2 > len(group):
             continue  # the pose has no angles of its own
-        away = np.abs(q - q[row]).max(axis=1)
-        away[index == index[row]] = np.inf
-        twin = int(np.argmin(away))
-        like = f"those of pose {session.pose[twin]}" if away[twin] < 0.5 * off[row] else "not those of this pose"
+        like = _looks_like(session, int(row), off[row])
         text = f"{place(session, int(row))}: joint angles up to {off[row]:.3f} rad from the pose's other rows; look like {like}"
-        spoilt = group[session.load_case[group] != 0] if session.load_case[row] == 0 else np.array([row])
-        found.append(BadRow("joints", tuple(int(r) for r in spoilt), float("nan"), text))
+        found.append((int(row), group, text))
     return found
 
 

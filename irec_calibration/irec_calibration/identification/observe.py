@@ -14,6 +14,7 @@ from ..errors import SolveError
 from ..session.data import Contact, Session
 from ..session.registration import registered
 from ..typing import Array, BoolArray, IntArray
+from .gross_errors import mended
 from .noise import Whitening, position_sigma
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def observe(session: Session) -> Observation:
         SolveError: no row can be used.
     """
     session = registered(session, session.robot.kinematics(session.q))
-    scene = scene_of(session)
+    scene = scene_of(mended(session))
     difference = beyond_controller(session, scene)
     seen = session.marker_seen
     if session.kind == "loaded":

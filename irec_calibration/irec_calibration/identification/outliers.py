@@ -58,6 +58,7 @@ def treated(observation: Observation, terms: Sequence[Term], lasting: Sequence[i
         )
         weight = np.ones(len(weight))
     bad = tuple(replace(b, action=LASTING) if set(b.rows) & set(lasting) else b for b in bad)
+    bad = (*bad, *_from_nowhere(observation, bad))
     out = np.isin(observation.rows, [r for b in bad if b.is_left_out for r in b.rows])
     tail = (weight < OUTLIERS.down_weighted) & ~out
     if tail.mean() > OUTLIERS.tails_at_most:
@@ -75,6 +76,22 @@ def treated(observation: Observation, terms: Sequence[Term], lasting: Sequence[i
     return replace(kept, session=session, bad=bad)
 
 
+def _from_nowhere(observation: Observation, bad: Sequence[BadRow]) -> list[BadRow]:
+    """Rows of an absolute session that come after joint angles which are not their pose's: nobody knows which step was made."""
+    session, previous = observation.session, observation.scene.previous
+    if session.kind != "absolute" or session.q_target is not None:
+        return []
+    wrong = [r for b in bad if b.kind == "joints" and b.is_left_out for r in b.rows]
+    spoilt = np.isin(session.pose, session.pose[wrong])
+    after = observation.rows[(previous[observation.rows] >= 0) & spoilt[previous[observation.rows]]]
+    after = np.setdiff1d(after, [r for b in bad if b.is_left_out for r in b.rows])
+    text = "pose {}: comes after joint angles that are not those of their pose; from where the robot came is not known"
+    poses = np.unique(session.pose[after])
+    return [
+        BadRow("joints", tuple(int(r) for r in after[session.pose[after] == p]), float("nan"), text.format(p)) for p in poses
+    ]
+
+
 def again(observation: Observation, like: Observation) -> Observation:
     """Another observation of the same session with the rows and weights of one whose wrong rows were treated."""
     weight = dict(zip(like.rows.tolist(), like.weight.tolist(), strict=True))
@@ -84,7 +101,7 @@ def again(observation: Observation, like: Observation) -> Observation:
 
 
 def _find(observation: Observation, terms: Sequence[Term]) -> tuple[tuple[BadRow, ...], Array]:
-    gross = [*wrong_joints(observation), *wrong_forces(observation)]
+    gross = [*wrong_joints(observation.session), *wrong_forces(observation.session, observation.rows)]
     out = np.isin(observation.rows, [r for b in gross for r in b.rows])
     found: list[BadRow] = list(gross)
     weight = np.ones(len(observation.rows))
@@ -92,7 +109,7 @@ def _find(observation: Observation, terms: Sequence[Term]) -> tuple[tuple[BadRow
         return tuple(found), weight
     kept_in: set[int] = set()
     if observation.session.kind == "absolute":
-        weight = _robust_start(observation, terms)
+        weight = robust_weights(observation, terms)
     for _ in range(OUTLIERS.rounds):
         live = observation.only(~out)
         near = neighbours(live, fitted(terms, live.weighted(weight[~out]))[0])
@@ -110,8 +127,9 @@ def _find(observation: Observation, terms: Sequence[Term]) -> tuple[tuple[BadRow
     return tuple(found), np.where(out, 1.0, weight)
 
 
-def _robust_start(observation: Observation, terms: Sequence[Term]) -> Array:
-    """Weights by which rows far from the truth do not bend a fit of the terms, (m,); each marker has its own scale."""
+def robust_weights(observation: Observation, terms: Sequence[Term]) -> Array:
+    """Of an absolute session: weights by which rows far from the truth do not bend a fit of the terms, (m,); each marker has its
+    own scale."""
     marker = observation.session.marker[observation.rows]
     weight = np.ones(len(marker))
     for _ in range(OUTLIERS.starts):

@@ -67,6 +67,12 @@ class AbsoluteThresholds(Thresholds):
     better: float = threshold(
         0.97, "of the misfit of reported angles", "below which commanded ones are used", "chosen: less could be chance",
     )  # fmt: skip
+    largest_lag: float = threshold(
+        0.02, "rad, m", "between reported and commanded angles that were read before the arm had settled", "chosen",
+    )  # fmt: skip
+    left_of_lag: float = threshold(
+        0.2, "share of squares", "that a share of the step before must leave of that difference to be what it is", "chosen",
+    )  # fmt: skip
     source_poses: int = threshold(300, "poses", "that tell which angles are used", "run time")
     thinned_to: int = threshold(1000, "poses", "that models are compared on at most", "more make a comparison no better")
     thinned_rows: int = threshold(

@@ -57,6 +57,29 @@ def test_commanded_and_reported_angles_compete_and_a_note_says_which_fits(better
     assert found.rms < 3e-5
 
 
+def test_one_row_of_another_pose_does_not_decide_which_angles_are_used():
+    data = session(noise=QUIET, poses=60)
+    q = data.q.copy()
+    q[30] = q[10]
+    target = data.q + np.random.default_rng(0).normal(size=q.shape) * 5e-4
+    seen = observe_with_force_noise(
+        replace(data, q=q, q_target=target, p_tcp_in_base=data.robot.kinematics(q).p_tcp), base_terms()
+    )
+    assert any("(joint_*) are used" in n for n in seen.session.notes)
+    assert 30 not in seen.rows
+
+
+@pytest.mark.parametrize("clock", ["time", "none"])
+def test_reported_angles_that_were_read_on_the_way_are_used_so_that_the_settling_is_found(clock):
+    data = session(noise=QUIET, poses=100)
+    step = np.diff(data.q, axis=0, prepend=data.q[:1])
+    q = data.q - step * np.array([0.0, 3e-4, 3e-4, 0.0, 0.0, 0.0])
+    late = replace(data, q=q, q_target=data.q, p_tcp_in_base=data.robot.kinematics(q).p_tcp, clock=clock)
+    note = next(n for n in observe_with_force_noise(late, base_terms()).session.notes if "are used" in n)
+    assert ("(joint_*) are used" in note) == ("joint_settling" in note) == (clock == "time"), note
+    assert "axis 2 0.3, axis 3 0.3" in note or clock == "none"
+
+
 def branched(effort: int = 300) -> Robot:
     text = urdf(SIX).replace('effort="300"', f'effort="{effort}"')
     arm = (

@@ -71,6 +71,17 @@ def test_the_joint_angles_of_another_pose_are_recognised(loaded):
     assert bad.kind == "joints" and bad.rows == (ROW,) and "those of pose 9" in bad.sentence
 
 
+def test_what_comes_after_a_wrong_row_has_what_was_there_as_its_history(loaded):
+    clean = observe(loaded).scene
+    for name, value in (("q", loaded.q[50]), ("force_in_tool", loaded.force_in_tool[ROW] * 1000.0)):
+        spoilt = changed(loaded, name, ROW, value)
+        scene = observe(spoilt).scene
+        assert scene.previous[ROW + 1] == ROW
+        np.testing.assert_allclose(scene.load_torque()[ROW], clean.load_torque()[ROW], atol=60.0)
+        assert np.abs(scene.step[ROW + 1]).max() < 0.02
+        assert only(spoilt).rows == (ROW,), "and it counts for nothing by itself"
+
+
 def test_a_reference_with_the_joint_angles_of_another_pose_spoils_its_load_cases(loaded):
     bad = only(changed(loaded, "q", 18, loaded.q[50]))
     assert bad.kind == "joints" and bad.rows == tuple(range(19, 24))
@@ -204,6 +215,28 @@ def test_the_joint_angles_of_another_pose_are_recognised_in_an_absolute_session(
     bad = only(replace(absolute, q=q, p_tcp_in_base=absolute.robot.kinematics(q).p_tcp))
     assert bad.kind == "joints" and "joint angles of pose 20" in bad.sentence
     assert {int(absolute.pose[r]) for r in bad.rows} == {10}
+
+
+def test_what_comes_after_the_joint_angles_of_another_pose_is_left_out_as_its_step_is_not_known(absolute):
+    q = absolute.q.copy()
+    q[absolute.pose == 10] = absolute.q[absolute.pose == 20]
+    spoilt = replace(absolute, q=q, p_tcp_in_base=absolute.robot.kinematics(q).p_tcp)
+    left = treated(observe(spoilt), default_terms(spoilt))
+    gone = np.setdiff1d(np.unique(absolute.pose), np.unique(absolute.pose[left.rows[absolute.marker[left.rows] < 5]]))
+    assert gone.tolist() == [10, 11]
+    assert any("pose 11: comes after joint angles that are not those of their pose" in str(b) for b in left.bad)
+
+
+def test_joint_angles_far_from_the_commanded_ones_are_left_out_and_the_next_step_begins_where_the_robot_was(absolute):
+    rows = np.flatnonzero(absolute.pose == 10)
+    commanded = replace(absolute, q_target=absolute.q + 1e-5)
+    spoilt = changed(commanded, "q", rows, absolute.q[absolute.pose == 20])
+    spoilt = replace(spoilt, p_tcp_in_base=absolute.robot.kinematics(spoilt.q).p_tcp)
+    found = find(observe(spoilt), default_terms(spoilt))
+    assert {r for b in found for r in b.rows} == set(rows.tolist()) and {b.kind for b in found} == {"joints"}
+    assert "from the commanded ones; look like those of pose 20" in found[0].sentence
+    after = np.flatnonzero(absolute.pose == 11)
+    np.testing.assert_allclose(observe(spoilt).scene.step[after], observe(absolute).scene.step[after], atol=1e-4)
 
 
 def test_a_reading_that_is_off_by_a_millimetre_is_found_beside_missing_torsion(absolute):
