@@ -20,18 +20,19 @@ class ThermalDrift(Effect):
     label = "thermal drift"
     physics = (
         "Links and tracker stand grow while the cell warms up: v T (1 - exp(-t/T)), which is v t for a long T, or in "
-        "proportion to a logged temperature. Missing, the residual grows with the time since the reference and is blind to force."
+        "proportion to a logged temperature; in absolute sessions the arm grows from base_link outwards too. Missing, the "
+        "residual grows with the time since the reference and is blind to force."
     )
     family = Family.TIME
     cause = Cause.TIME
     needs = ("time",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        out = [Parameter(f"v_{a}", "m/s", 1e-6, plausible=(-1e-4, 1e-4), group="time") for a in AXES]
+        out = _of_driver(scene, "v", "s", 1e-6, 1e-4, "time")
         for name in usable_temperatures(scene):
             # a thermometer may go through a small part of what the drifting part does: then the drift has a limit, not the value
             most = max(LARGEST_PER_KELVIN, LARGEST / max(float(np.ptp(scene.temperature[name])), 1e-3))
-            out += [Parameter(f"k_{name}_{a}", "m/K", STEEL, plausible=(-most, most), group=f"temp_{name}") for a in AXES]
+            out += _of_driver(scene, f"k_{name}", "K", STEEL, most, f"temp_{name}")
         return (*out, Parameter("T", "s", 1000.0, 10.0, 1e6, start=STEADY, grid=(300.0, 1000.0, 3000.0, STEADY)))
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
@@ -45,17 +46,47 @@ class ThermalDrift(Effect):
         return self._columns(scene, theta[-1]) @ theta[:-1]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        share = scene.stamp / theta[-1]
-        by_T = (-np.expm1(-share) - share * np.exp(-share))[:, None] * theta[:3]
+        share, ways = scene.stamp / theta[-1], _ways(scene)
+        by_T = (-np.expm1(-share) - share * np.exp(-share))[:, None] * (ways @ theta[: ways.shape[2]])
         return np.concatenate([self._columns(scene, theta[-1]), by_T[:, :, None]], axis=2)
 
     def _columns(self, scene: Scene, T: float) -> Array:
         course = -T * np.expm1(-scene.stamp / T)
         drivers = [course] + [scene.temperature[n] - REFERENCE_TEMPERATURE for n in usable_temperatures(scene)]
-        return np.concatenate([d[:, None, None] * np.eye(3) for d in drivers], axis=2)
+        return np.concatenate([d[:, None, None] * _ways(scene) for d in drivers], axis=2)
+
+
+def _of_driver(scene: Scene, name: str, per: str, scale: float, most: float, group: str) -> list[Parameter]:
+    """Parameters of what one course (time, a temperature) drives, as the columns of `_ways`."""
+    out = [Parameter(f"{name}_{a}", f"m/{per}", scale, plausible=(-most, most), group=group) for a in AXES]
+    if scene.kind != "absolute":
+        return out
+    growth, at = most / REACH, f"{group} of the arm"
+    out.append(Parameter(f"{name}_growth", f"1/{per}", scale / REACH, plausible=(-growth, growth), group=at))
+    if _watches_base(scene):
+        out += [Parameter(f"{name}_{a}_arm", f"m/{per}", scale, plausible=(-most, most), group=at) for a in AXES]
+    return out
+
+
+def _ways(scene: Scene) -> Array:
+    """How each row moves by one unit of a course: all that the station sees along x, y, z; in absolute sessions an arm that grows
+    in all directions from base_link, and, where markers on the base tell the stand from the arm, the arm alone along x, y, z."""
+    along = np.tile(np.eye(3), (len(scene), 1, 1))
+    if scene.kind != "absolute":
+        return along
+    arm = scene.moves_with_arm[:, None, None]
+    ways = [along, arm * scene.p_observed[:, :, None]]
+    if _watches_base(scene):
+        ways.append(arm * along)
+    return np.concatenate(ways, axis=2)
+
+
+def _watches_base(scene: Scene) -> bool:
+    return not bool(scene.moves_with_arm.all())
 
 
 STEEL = 3e-5  # m/K, an arm of steel of 2.5 m
+REACH = 2.5  # m
 LARGEST_PER_KELVIN = 1e-3  # m/K
 LARGEST = 2e-3  # m over a session; arms that warm up drift by 0.1 to 0.5 mm
 QUICKEST = 300.0  # s; arms and stands warm up with time constants of half an hour and more

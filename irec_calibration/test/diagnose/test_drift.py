@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import absolute_sessions
 import numpy as np
 import pytest
 from irec_calibration.diagnose import diagnose
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
-from irec_calibration.session import Session
+from irec_calibration.session import Marker, Noise, Session
 from test_diagnose import session
 
 
@@ -47,3 +48,18 @@ def test_a_drift_that_ends_within_minutes_is_no_warm_up(values: dict[str, float]
     scene = scene_of(session())
     said = find_effect("thermal_drift").why_impossible({n: (v, 0.0) for n, v in values.items()}, {}, scene)
     assert ("160 s" in said) == is_told
+
+
+@pytest.mark.parametrize("stand", [False, True], ids=["the arm grows", "the stand moves"])
+def test_an_arm_that_grows_with_time_is_told_from_a_stand_that_moves(stand: bool) -> None:
+    markers = (*absolute_sessions.THREE_MARKERS[:2], Marker("G", "base_link", (0.5, 0.4, 0.1), known=False))
+    rate = 1e-6  # 1/s, a growth by 0.4 mm of what is 1 m away
+
+    def drift(s: Session, p: np.ndarray) -> np.ndarray:
+        on_tool = np.array([m.link == "tool0" for m in s.markers])[s.marker][:, None]
+        return rate * s.stamp[:, None] * (np.array([0.5, -0.5, 0.3]) if stand else on_tool * p)
+
+    found = diagnose(absolute_sessions.session(poses=80, noise=Noise(tracker_m=1e-5), markers=markers, moved=drift)).verdict
+    assert found.effects == ("thermal_drift",), found.text
+    assert found.parts["thermal_drift"].proven == (("time",) if stand else ("time of the arm",))
+    assert found.remaining_m == 0.0
