@@ -79,18 +79,36 @@ def grow(
 ) -> Remainder:
     """Add structures to a model one by one, each time the one with most evidence, as long as they have enough of it.
 
+    Poses that stand out as a whole, or by their references, are accidents as long as they are few. Where they are many and
+    structures do nearly as well, something systematic is behind them.
+
     Args:
         start: structures that are tried first, in this order, and kept where they still have evidence.
         beside_axis: structures that turn only this axis are left out.
         without: further structures that are left out.
     """
+
+    def left_out(s: Structure) -> bool:
+        return (beside_axis is not None and s.axis == beside_axis) or (without is not None and without(s))
+
+    found = _grow(bench, family, base, start, most, left_out)
+    poses = sum(len(p.structure.rows) > 1 for p in found.bad_rows)
+    if poses < SETTINGS.several or poses <= SETTINGS.most_poses_aside * len(bench.poses):
+        return found
+    start = [p for p in start if len(p.structure.rows) <= 1]
+    systematic = _grow(bench, family, base, start, most, lambda s: len(s.rows) > 1 or left_out(s))
+    return systematic if systematic.gained > found.gained - SETTINGS.nats_to_separate * poses else found
+
+
+def _grow(
+    bench: Bench, family: Family, base: Block, start: Sequence[Part], most: int, left_out: Callable[[Structure], bool]
+) -> Remainder:
     block, parts = base, list[Part]()
     at = _At(base.A.T @ base.A, base.A.T @ bench.b, _crossed(base, family), family.A.T @ bench.b)
     ground = Ground(bench, block, at.products)
     log_evidence = ground.log_evidence
     tried = np.log([s.tried for s in family.structures])
-    taken = {i for i, s in enumerate(family.structures) if beside_axis is not None and s.axis == beside_axis}
-    taken |= {i for i, s in enumerate(family.structures) if without is not None and without(s)}
+    taken = {i for i, s in enumerate(family.structures) if left_out(s)}
     place = {id(s): i for i, s in enumerate(family.structures)}
 
     def take(i: int, gain: float, amplitude: float, least: float) -> None:

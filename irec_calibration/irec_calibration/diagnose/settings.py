@@ -191,6 +191,10 @@ class Settings(Thresholds):
         0.1, "share of readings", "that stand out and count for nothing, above which something systematic is behind them",
         "more than the tails of an instrument: one reading in ten beyond them is a second instrument, or a cause",
     )  # fmt: skip
+    most_poses_aside: float = threshold(
+        0.15, "share of poses", "that stand out as a whole or by their references, above which they are hardly accidents",
+        "chosen: a base whose bolts lift had 0.18 on an outside simulator, four poses of 31 may be knocked",
+    )  # fmt: skip
     most_of_gain: float = threshold(
         0.3, "share of the reading", "by which the gain of a force sensor may change up to its largest load, in what has no name",
         "data sheets say 0.01; a sensor that is worse by thirty times is broken, and would pass for one that is mounted turned",

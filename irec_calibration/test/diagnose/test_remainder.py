@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from irec_calibration.diagnose import remainder
 from irec_calibration.diagnose.evidence import Bench, Block
 from irec_calibration.diagnose.family import Family, Structure
-from irec_calibration.diagnose.remainder import grow
+from irec_calibration.diagnose.remainder import Part, Remainder, grow
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -49,3 +51,25 @@ def test_a_structure_that_explains_only_with_such_a_spring_is_not_taken():
     hidden = Family(_along_p().structures, (P + 0.98 * Q)[:, None])
     assert not grow(bench, hidden, _spring(0.0)).parts
     assert grow(bench, hidden, _spring(-np.inf)).parts
+
+
+@pytest.mark.parametrize(
+    ("off", "by_structures", "is_accident"),
+    [(2, 100.0, True), (5, 100.0, False), (5, 60.0, True)],
+    ids=["few poses", "structures do about as well", "structures do worse"],
+)
+def test_many_poses_that_stand_out_are_no_accidents_where_structures_do_about_as_well(
+    monkeypatch, off, by_structures, is_accident
+):
+    law = Part(Structure(("joint_1",), "along p", slice(0, 1), 1), 1.0, by_structures)
+    poses = [Structure((), f"all of pose {i}", slice(i, i + 1), 20, is_bad_row=True, rows=(i, i + 1)) for i in range(1, off + 1)]
+    accidents = tuple(Part(p, 1.0, 110.0 / off) for p in poses)
+
+    def grown(bench, family, base, start, most, left_out):
+        parts = (law,) if left_out(poses[0]) else accidents
+        assert all(not left_out(p.structure) for p in (*start, *parts))
+        return Remainder(parts, 0.0, base, slice(1, None))
+
+    monkeypatch.setattr(remainder, "_grow", grown)
+    found = grow(Bench(NOISE, POSE), _along_p(), _spring(0.0), start=accidents)
+    assert found.parts == (accidents if is_accident else (law,))
