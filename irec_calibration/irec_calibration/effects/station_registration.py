@@ -16,7 +16,7 @@ from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
 # RMS over x, y, z; a first axis or a base frame that is off as every robot's does the same to all that a station sees
-USUAL_RAD = 0.6e-3
+USUAL_RAD = 1e-3
 
 
 class StationRegistration(Effect):
