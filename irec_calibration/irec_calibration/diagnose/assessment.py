@@ -17,7 +17,7 @@ from ..effects.traits import Family as Alike
 from ..identification.noise import InferredNoise
 from ..identification.validation import HeldOut, gain, rms
 from ..model import Term, total_displacement
-from .bad_readings import put_aside
+from .bad_readings import too_many_aside
 from .build import Built
 from .candidates import Trial
 from .evidence import Block
@@ -136,7 +136,7 @@ def assess(
     if flexible.significant:
         evidence.append("flexible_regression")
     aside = (*asked.apart, *rest.bad_rows)
-    if len(aside) >= settings.several and put_aside(study, aside, noise.inferred_m) > settings.most_put_aside:
+    if too_many_aside(study, aside, noise.inferred_m, settings):
         evidence.append("readings_that_stand_out")
     if not evidence and rest.structures:
         bad = only_bad_rows(study, built.family)

@@ -18,6 +18,7 @@ from ..session.data import Session
 from ..typing import Json
 from .remainder import Part
 from .sag import NOTE as OF_SAG
+from .settings import Settings
 from .study import Study
 
 FAR = 2.0  # RMS of the noise, beyond which a reading of a pose that is put aside stands out: by chance one in 140 does
@@ -77,6 +78,15 @@ def _row(session: Session, row: int, kind: str, size_m: float, action: str, text
         "pose": int(session.pose[row]), "load_case": session.case_name(int(session.load_case[row])),
         "repeat": int(session.repeat[row]), "kind": kind, "size_m": size_m, "action": action, "text": text,
     }  # fmt: skip
+
+
+def too_many_aside(study: Study, aside: Sequence[Part], noise_m: float, settings: Settings) -> bool:
+    """Whether so many readings, or poses of a loaded session as a whole or by their references, count for nothing that something
+    systematic is behind them. Arguments as of `put_aside`."""
+    poses = sum(len(p.structure.rows) > 1 for p in aside) if study.ready.kind == "loaded" else 0
+    if poses >= settings.several and poses > settings.most_poses_aside * len(study.observation.poses):
+        return True
+    return len(aside) >= settings.several and put_aside(study, aside, noise_m) > settings.most_put_aside
 
 
 def put_aside(study: Study, aside: Sequence[Part], noise_m: float) -> float:

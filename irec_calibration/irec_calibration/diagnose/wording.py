@@ -30,7 +30,7 @@ SETS_SHOWN = 3  # sets of axes in a sentence
 ROWS_SHOWN = 4
 
 SHOWN_BY = {
-    "readings_that_stand_out": "more than one reading in ten stands out and had to be put aside, too many for bad luck",
+    "readings_that_stand_out": "so many readings, or whole poses, stand out and had to be put aside that it is no bad luck",
     "few_poses": "readings of few poses follow one law together far better than bad luck does, too few to test it on others",
     "wandering": "within a pose readings wander by far more than such an instrument does, as if floor, stand or tool moved",
     "repeats": "repeats of the same sample agree better than that",

@@ -7,9 +7,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import synthetic
 from irec_calibration.diagnose import diagnose
-from irec_calibration.diagnose.bad_readings import SET_ASIDE, one_note_each, put_aside, rows_json
+from irec_calibration.diagnose.bad_readings import SET_ASIDE, one_note_each, put_aside, rows_json, too_many_aside
+from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.effects.scene import Scene
 from irec_calibration.identification.bad_rows import BadRow
 from irec_calibration.identification.outliers import KEPT
@@ -85,3 +87,18 @@ def test_of_a_pose_that_is_put_aside_only_the_readings_that_stand_out_count() ->
     reference = SimpleNamespace(structure=SimpleNamespace(rows=tuple(range(5, 10)), columns=slice(0, 3)))
     assert put_aside(study, [part((4, 5, 6, 7, 8))], 4e-5) == 2 / 24
     assert put_aside(study, [part((1,)), reference], 4e-5) == 2 / 24
+
+
+@pytest.mark.parametrize(("kind", "poses", "is_too_many"), [("loaded", 3, False), ("loaded", 4, True), ("absolute", 4, False)])
+def test_too_many_whole_poses_that_are_put_aside_are_no_bad_luck_though_few_of_their_readings_stand_out(
+    kind, poses, is_too_many
+):
+    study = SimpleNamespace(
+        observation=SimpleNamespace(rows=np.arange(100), poses=np.arange(20)),
+        fit=SimpleNamespace(residual=np.full((100, 3), 1e-5)),
+        ready=SimpleNamespace(reference=np.repeat(np.arange(0, 100, 5), 5), kind=kind),
+    )
+    rows = [tuple(range(5 * i, 5 * i + 5)) for i in range(poses)]
+    aside = [SimpleNamespace(structure=SimpleNamespace(rows=r, columns=slice(0, 15))) for r in rows]
+    assert put_aside(study, aside, 4e-5) == 0.0
+    assert too_many_aside(study, aside, 4e-5, SETTINGS) == is_too_many
