@@ -84,7 +84,7 @@ def too_many_aside(study: Study, aside: Sequence[Part], noise_m: float, settings
     """Whether so many readings, or poses of a loaded session as a whole or by their references, count for nothing that something
     systematic is behind them. Arguments as of `put_aside`."""
     poses = sum(len(p.structure.rows) > 1 for p in aside) if study.ready.kind == "loaded" else 0
-    if poses >= settings.several and poses > settings.most_poses_aside * len(study.observation.poses):
+    if poses > settings.several and poses > settings.most_put_aside * len(study.observation.poses):
         return True
     return len(aside) >= settings.several and put_aside(study, aside, noise_m) > settings.most_put_aside
 
