@@ -16,7 +16,8 @@ from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
 # RMS over x, y, z; a first axis or a base frame that is off as every robot's does the same to all that a station sees
-USUAL_RAD = 1e-3
+USUAL_RAD = 0.6e-3
+USUAL_ABSOLUTE_RAD = 1e-3  # where a session shows the frame itself, and not only how displacements turn
 
 
 class StationRegistration(Effect):
@@ -56,7 +57,8 @@ class StationRegistration(Effect):
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         stations = {n.split("_", 2)[2] for n in values}
         turned = (np.array([values.get(f"w_{a}_{s}", 0.0) for a in AXES]) for s in stations)
-        return all(float(np.sqrt(np.mean(w**2))) <= USUAL_RAD for w in turned)
+        most = USUAL_ABSOLUTE_RAD if scene.kind == "absolute" else USUAL_RAD
+        return all(float(np.sqrt(np.mean(w**2))) <= most for w in turned)
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         """A turn of all stations about the first axis (theta, rad) is what the zero of that axis does to all that they see, where

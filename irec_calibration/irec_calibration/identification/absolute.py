@@ -254,13 +254,15 @@ def _read_on_the_way(session: Session, target: Array) -> str:
     what they lack (`joint_settling`), and is to be found; else empty."""
     from .observe import observe
 
+    if session.clock == "none":
+        return ""
     step, off = observe(session).scene.step, target - session.q
     off = off - np.median(off, axis=0)
     near = np.abs(off).max(axis=1) < ABSOLUTE.largest_lag  # others are those of another pose
     step, off = step[near], off[near]
     share = (step * off).sum(axis=0) / np.maximum((step**2).sum(axis=0), 1e-12)
     left = ((off - step * share) ** 2).sum() / max((off**2).sum(), 1e-300)
-    if session.clock == "none" or left > ABSOLUTE.left_of_lag:
+    if left > ABSOLUTE.left_of_lag:
         return ""
     axes = ", ".join(f"axis {k + 1} {1e3 * abs(a):.2g}" for k, a in enumerate(share) if abs(a) > 0.1 * np.abs(share).max())
     return f"they differ by so many thousandths of the step before: {axes}"

@@ -261,6 +261,12 @@ def test_a_known_station_turned_by_no_more_than_a_first_axis_is_off_is_usual(tur
     assert station.is_usual({f"w_{a}_A": w for a, w in zip("xyz", turned, strict=True)} | unturned, 0.0, LOADED) == usual
 
 
+@pytest.mark.parametrize(("scene", "usual"), [(LOADED, False), (BY_WEIGHT, True)], ids=["loaded", "absolute"])
+def test_a_known_station_may_be_turned_by_more_where_positions_are_read_than_where_displacements_are(scene, usual) -> None:
+    turned = {"w_x_A": 1.5e-3, "w_y_A": 0.0, "w_z_A": 0.0}  # 0.87 mrad RMS
+    assert find_effect("station_registration").is_usual(turned, 0.0, scene) == usual
+
+
 @pytest.mark.parametrize(("scale", "usual"), [(1e-4, True), (-1e-4, True), (3e-4, False)])
 def test_lengths_that_are_off_by_a_tenth_of_a_millimetre_in_a_metre_are_usual_among_positions(scale, usual) -> None:
     tracker = find_effect("tracker_scale")
