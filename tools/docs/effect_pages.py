@@ -13,6 +13,7 @@ import numpy as np
 from irec_calibration.diagnose.run import start_terms
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.effects import CATALOGUE, Effect
+from irec_calibration.effects.traits import Cause
 from irec_calibration.model import Estimate, Term, total_displacement
 from irec_calibration.report import style
 from irec_calibration.report.diagnosis import variables
@@ -52,10 +53,16 @@ def _page(effect: Effect, study: Study, session: Session, folder: Path) -> str:
     base = {t.effect.id for t in study.terms}
     why = study.why_not(effect)
     lines = [f"# {effect.id}", "", f"**{effect.label.capitalize()}.** {effect.physics}", ""]
-    acts = {"arm": "moves the tool: it is part of predictions", "wrench": "changes the force that the model is evaluated at",
-            "instrument": "only the measurement sees it: it is no part of predictions"}  # fmt: skip
+    parts = {
+        Cause.LOAD: "moves the tool: it is part of predictions",
+        Cause.STATE: "moves the tool by the joint angles alone: only predictions of `absolute` sessions have it",
+        Cause.MOTION: "moves the tool by the step before: only predictions of `absolute` sessions have it",
+        Cause.TIME: "passes with time whatever the force: it is no part of predictions",
+        Cause.MEASUREMENT: "only the measurement sees it: it is no part of predictions",
+    }
+    acts = "changes the force that the model is evaluated at" if effect.acts_on == "wrench" else parts[effect.cause]
     lines += [
-        f"* Acts on: {effect.acts_on} ({acts[effect.acts_on]}).",
+        f"* Acts on: {effect.acts_on} ({acts}).",
         f"* Needs: {', '.join(effect.needs) or 'nothing besides the session'}.",
     ]
     parameters = () if why else effect.parameters(study.ready)
