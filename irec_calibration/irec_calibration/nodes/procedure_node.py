@@ -28,7 +28,7 @@ from ..procedure.elapsed import SLACK, STEP_BACK
 from ..procedure.inputs import Inputs
 from ..procedure.settings import read_settings
 from ..procedure.standstill import Streams
-from .correction_watch import CorrectionWatch
+from .correction_at_work import CorrectionAtWork
 from .instruments import Instruments
 from .procedure_reports import ProcedureReports
 from .procedure_run import ProcedureRun
@@ -69,7 +69,7 @@ class ProcedureNode(GuardedLifecycleNode):
         self._inputs = Inputs(streams, axes, [station.name for station in self.cell.stations])
         self._link = RobotLink(self, axes)
         self._starting = StartCheck(
-            self._link, self._inputs, CorrectionWatch(self),
+            self._link, self._inputs, CorrectionAtWork(self),
             SourceWatch(self, of_cell(self.settings.without_tracker, len(self.cell.stations))),
         )  # fmt: skip
         self._instruments = Instruments(self, self._inputs, self._on_robot_state, self._keep_up)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from irec_msgs.msg import RobotState
 
 from ..procedure.inputs import Inputs
-from .correction_watch import CorrectionWatch
+from .correction_at_work import CorrectionAtWork
 from .robot_link import RobotLink
 from .sources import SourceWatch
 
@@ -32,7 +32,7 @@ class Start:
 class StartCheck:
     """Asked again and again from when a run was asked for until it begins or is given up."""
 
-    def __init__(self, link: RobotLink, inputs: Inputs, correction: CorrectionWatch, sources: SourceWatch) -> None:
+    def __init__(self, link: RobotLink, inputs: Inputs, correction: CorrectionAtWork, sources: SourceWatch) -> None:
         self._link, self._inputs, self._correction, self._sources = link, inputs, correction, sources
         self._robot: RobotState | None = None
         self._robot_told = False

@@ -17,7 +17,7 @@ AT_REST = (CorrectionState.INACTIVE, CorrectionState.FAULT)
 NAMES = {getattr(CorrectionState, name): name for name in ("RAMP_IN", "ACTIVE", "HOLD", "FADE")}
 
 
-class CorrectionWatch:
+class CorrectionAtWork:
     """Listens to irec/correction/state; is told the robot's own state by whoever has it."""
 
     def __init__(self, node: Node) -> None:
