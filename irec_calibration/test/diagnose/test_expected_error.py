@@ -117,6 +117,16 @@ def test_a_second_reflector_shows_how_the_tool_turns() -> None:
     assert together.tcp_m < 0.3 * alone.tcp_m and not together.turning_unknown
 
 
+def test_a_row_with_the_joint_angles_of_another_pose_does_not_count() -> None:
+    whole = synthetic.session(20, 3)
+    row = int(np.flatnonzero((whole.pose == 5) & (whole.load_case == 2))[0])
+    q = whole.q.copy()
+    q[row] = whole.q[np.flatnonzero(whole.pose == 12)[0]]
+    usual, with_it = (validated(s, TERMS).expected_error for s in (whole, replace(whole, q=q)))
+    assert usual is not None and with_it is not None
+    assert with_it.tcp_m < 1.2 * usual.tcp_m
+
+
 def test_a_bump_of_the_station_in_one_pose_says_nothing_of_other_poses() -> None:
     made = synthetic.session(31, 2)
     bumped = made.p_marker_in_station + np.where((made.pose == 9) & (made.load_case > 2), 1e-3, 0.0)[:, None]
