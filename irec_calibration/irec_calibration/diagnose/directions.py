@@ -10,11 +10,14 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from ..effects.scene import Scene
+from ..robot.ratings import rated_torque
 from ..typing import Array, IntArray
 from .settings import SETTINGS
 from .study import Study
 
 DEGREE = 3  # of a curve over one variable
+BEARS = 1e-4  # of what the most loaded axis bears, each by its rated torque; less is rounding, and a law of it a law of nothing
+MOST = 1.2  # of the largest value that is seen: no law is carried on beyond
 TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment over which a play is taken up
 SEEN_AT, TURNS = ("marker_x", "marker_y", "marker_z"), 4  # columns of a reading; waves per turn of an encoder that are tried
 IN_BASE = "constant in the base frame"
@@ -55,7 +58,7 @@ def varying(study: Study) -> dict[str, Array]:
     table |= {f"temp_{n}": v for n, v in scene.temperature.items()}
     table |= {f"ext_{n}": v for n, v in scene.ext.items()}
     table |= {f"joint_{k + 1}": scene.q[:, k] for k in range(scene.n_joints)}
-    table |= {f"tau_{k + 1}": total[:, k] for k in range(scene.n_joints)}
+    table |= {f"tau_{k + 1}": total[:, k] for k in bearing(study)}
     table |= {f"force_{a}": scene.force_in_tool[:, i] for i, a in enumerate("xyz")}
     return {
         name: values
@@ -64,10 +67,26 @@ def varying(study: Study) -> dict[str, Array]:
     }
 
 
+def least_torque(study: Study) -> Array:
+    """Torque of each axis below which it bears nothing but rounding, (k,), N m: one through the reflector that is pushed at."""
+    rated = rated_torque(study.ready.robot)
+    return np.asarray(BEARS * (_varies(study) / rated).max(initial=0.0) * rated)
+
+
+def bearing(study: Study) -> list[int]:
+    """Axes whose torque varies by more than rounding, counted from 0."""
+    found: list[int] = np.flatnonzero(_varies(study) > least_torque(study)).tolist()
+    return found
+
+
+def _varies(study: Study) -> Array:
+    return np.asarray(np.ptp(study.ready.load_torque()[study.observation.rows], axis=0))
+
+
 def curve(values: Array, seen: Array, degree: int = DEGREE) -> Array:
     """Legendre polynomials over the range of the seen values, (n, degree), without the constant."""
     middle, half = 0.5 * (seen.max() + seen.min()), max(0.5 * float(np.ptp(seen)), 1e-300)
-    u = np.clip((values - middle) / half, -1.2, 1.2)
+    u = np.clip((values - middle) / half, -MOST, MOST)
     out: Array = legendre.legvander(u, degree)[:, 1:]
     return out
 
@@ -112,7 +131,7 @@ def directions(study: Study) -> Iterator[Direction]:
     yield Direction("along the elastic deflection", (), scaled(scene.response.displacement[:, :, None] * on, rows))
     yield Direction("as a force at the tool", (), scaled(scene.response.compliance[:, :, :3] * on, rows))
     angle = scaled(scene.J * on, rows)
-    size = np.maximum(np.sqrt((tau[rows] ** 2).mean(axis=0)), 1e-9)
+    size = np.maximum(np.sqrt((tau[rows] ** 2).mean(axis=0)), np.maximum(least_torque(study), 1e-9))
     twist = angle * (tau / size)[:, None, :]
     yield Direction(TURNING, (), angle)
     yield Direction(COMPLIANCE, (), twist)
@@ -156,15 +175,14 @@ def two_variables(study: Study) -> Iterator[Direction]:
     scene, rows = study.ready, study.observation.rows
     angle = scaled(scene.J * _under_load(scene), rows)
     tau = scene.load_torque()
-    size = np.maximum(np.abs(tau[rows]).max(axis=0), 1e-9)
+    size = np.maximum(np.abs(tau[rows]).max(axis=0), np.maximum(least_torque(study), 1e-9))
     t = tau / size
     q = scene.q
     has = scene.previous >= 0
-    before = np.where(has[:, None], t[scene.previous], 0.0)
+    before = np.where(has[:, None], np.clip(t[scene.previous], -MOST, MOST), 0.0)
     angle_free = scaled(scene.J, rows)
-    for k in range(scene.n_joints):
-        if np.ptp(tau[rows, k]) <= 1e-6:
-            continue
+    bears = bearing(study)
+    for k in bears:
         own = angle[:, :, k : k + 1]
         rotary = not bool(scene.kin.is_prismatic[k])
         turn = curve(q[:, k], q[rows, k])
@@ -203,7 +221,7 @@ def two_variables(study: Study) -> Iterator[Direction]:
             words = f"turning axis {k + 1} by the step before"
             columns = angle_free[:, :, k : k + 1] * driven[:, None, :]
             yield Direction(words, (f"joint_{k + 1}",), columns, k, by_step=True)
-        for other in range(scene.n_joints):
+        for other in bears:
             if other != k:
                 product = np.stack([t[:, k] * t[:, other], t[:, other]], axis=1)
                 yield Direction(

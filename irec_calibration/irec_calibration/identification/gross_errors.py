@@ -34,7 +34,8 @@ def mended(session: Session) -> Session:
     elsewhere = [row for row, _, _ in of_angles]
     for row, group, _ in of_angles:
         others = np.setdiff1d(group, elsewhere)
-        q[row], p[row] = np.median(q[others], axis=0), np.median(p[others], axis=0)
+        like = others[np.argmin(np.abs(q[others] - np.median(q[others], axis=0)).max(axis=1))]  # of one row, so that both agree
+        q[row], p[row] = q[like], p[like]
     return replace(session, force_in_tool=force, q=q, p_tcp_in_base=p)
 
 

@@ -8,6 +8,7 @@ import pytest
 from irec_calibration.diagnose import remainder
 from irec_calibration.diagnose.evidence import Bench, Block
 from irec_calibration.diagnose.family import Family, Structure
+from irec_calibration.diagnose.ground import Ground
 from irec_calibration.diagnose.remainder import Part, Remainder, grow
 from numpy.typing import NDArray
 
@@ -73,3 +74,14 @@ def test_many_poses_that_stand_out_are_no_accidents_where_structures_do_about_as
     monkeypatch.setattr(remainder, "_grow", grown)
     found = grow(Bench(NOISE, POSE), _along_p(), _spring(0.0), start=accidents)
     assert found.parts == (accidents if is_accident else (law,))
+
+
+def test_what_rounding_leaves_of_columns_gains_nothing():
+    rng = np.random.default_rng(1)
+    here = np.where((np.arange(N) >= 30) & (np.arange(N) < 39), rng.normal(size=N), 0.0)  # some readings, seen by four columns
+    sizes, rests = np.array([570.0, 1.7e7, 55.0, 0.0]), np.array([0.01, 0.006, 0.005, 0.035])
+    A = here[:, None] * sizes + rng.normal(size=(N, 4)) * rests
+    ground = Ground(Bench(NOISE + 3.0 * P, POSE), _spring(0.0))
+    gain, _ = Family((Structure((), "along four columns", slice(0, 4), 1),), A).gains(ground)
+    each = [Family((Structure((), "along one", slice(0, 1), 1),), A[:, j : j + 1].copy()).gains(ground)[0][0] for j in range(4)]
+    assert gain[0] < max(each) + 1.0

@@ -12,6 +12,7 @@ import synthetic
 from irec_calibration.codec import pose_data
 from irec_calibration.diagnose.comparison import compare
 from irec_calibration.diagnose.study import prepare
+from irec_calibration.identification.gross_errors import mended
 from irec_calibration.identification.identify import default_terms, identify
 from irec_calibration.identification.observe import observe
 from irec_calibration.identification.outliers import find, treated
@@ -80,6 +81,13 @@ def test_what_comes_after_a_wrong_row_has_what_was_there_as_its_history(loaded):
         np.testing.assert_allclose(scene.load_torque()[ROW], clean.load_torque()[ROW], atol=60.0)
         assert np.abs(scene.step[ROW + 1]).max() < 0.02
         assert only(spoilt).rows == (ROW,), "and it counts for nothing by itself"
+
+
+def test_angles_and_position_in_place_of_wrong_ones_are_those_of_one_row(loaded):
+    kept = mended(changed(loaded, "q", ROW, loaded.q[50]))
+    twins = [r for r in range(18, 24) if r != ROW and np.array_equal(kept.q[ROW], loaded.q[r])]
+    assert len(twins) == 1
+    np.testing.assert_array_equal(kept.p_tcp_in_base[ROW], loaded.p_tcp_in_base[twins[0]])
 
 
 def test_a_reference_with_the_joint_angles_of_another_pose_spoils_its_load_cases(loaded):
@@ -173,8 +181,8 @@ def test_a_missing_effect_in_one_axis_leaves_all_rows_in(effect, axis):
 
 def test_what_a_wrong_row_did_to_the_compliances_is_gone(loaded):
     clean = identify(loaded, default_terms(loaded))
-    mended = identify(moved(loaded, ROW, (1e-3, 0.0, 0.0)), default_terms(loaded))
-    assert mended.rms == pytest.approx(clean.rms, rel=0.02)
+    fixed = identify(moved(loaded, ROW, (1e-3, 0.0, 0.0)), default_terms(loaded))
+    assert fixed.rms == pytest.approx(clean.rms, rel=0.02)
 
 
 def six_markers(poses: int = 40) -> Session:
@@ -199,8 +207,8 @@ def test_readings_of_another_nest_are_left_out_and_do_not_bend_the_fit(absolute)
     found = find(observe(bad := moved(absolute, rows, (0.2, 0.1, -0.2))), default_terms(absolute))
     assert {r for b in found for r in b.rows} == set(rows) and {b.kind for b in found} == {"nest"}
     assert all(b.size_m == pytest.approx(0.3, rel=0.01) for b in found)
-    plain, mended = identify(absolute, default_terms(absolute)), identify(bad, default_terms(bad))
-    assert mended.rms == pytest.approx(plain.rms, rel=0.05)
+    plain, fixed = identify(absolute, default_terms(absolute)), identify(bad, default_terms(bad))
+    assert fixed.rms == pytest.approx(plain.rms, rel=0.05)
 
 
 def test_a_marker_measured_for_another_is_named(absolute):
