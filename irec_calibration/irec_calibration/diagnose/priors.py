@@ -4,23 +4,40 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects import Effect
-from ..typing import Array
+from ..effects import Effect, Family
+from ..typing import Array, BoolArray
 
 LEVELS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of the springs' priors, tried on each session
 FACTORS = np.array([0.1, 0.5, 2.5, 12.5])  # of an effect's prior width
 FACTOR_OF_FORM = 2.0  # within which it is known how large what completes the springs' form is, one standard deviation
 
 
-def choices(owners: Sequence[Effect], together: Sequence[str]) -> Iterator[tuple[Array, Array, str]]:
-    """Multiples of the prior widths to choose from by evidence, one set after the other, each (k, p), log odds of each, (k,), and
-    what completes the form of springs whose levels they are (`level_key`), or an empty string.
+@dataclass(frozen=True)
+class Choice:
+    """Multiples of prior widths to choose from by evidence.
 
-    First the springs of the axes, which every robot has, at all combinations of their levels, then every further effect by
-    itself. How large what completes the form of springs is, is known beforehand but for a factor; of the others nothing is.
+    Attributes:
+        of: which parameters, (p,); times: multiples of the width of each, (k, p), 1 for the others; log_odds: of each, (k,).
+        completing: what completes the form of springs whose level this is (`level_key`), or an empty string.
+    """
+
+    of: BoolArray
+    times: Array
+    log_odds: Array
+    completing: str = ""
+
+
+def choices(owners: Sequence[Effect], together: Sequence[str]) -> Iterator[Choice]:
+    """What is chosen by evidence, one after the other, a later choice in place of an earlier one of the same parameters.
+
+    First the springs of the axes, which every robot has, at all combinations of their levels. Then what else gives way (tool,
+    base) together with what completes the form of springs: either may stand for the other, so that one chosen first would leave
+    nothing to the second. Then each of these and every further effect by itself. How large what completes the form of springs is,
+    is known beforehand but for a factor; of the others nothing is.
 
     Args:
         owners: the effect of each parameter, (p,); together: its `Parameter.level`.
@@ -30,12 +47,20 @@ def choices(owners: Sequence[Effect], together: Sequence[str]) -> Iterator[tuple
     levels = np.ones((1, len(owner)))
     for name in springs:
         levels = np.array([np.where(owner == name, level, row) for row in levels for level in LEVELS])
-    yield levels, np.zeros(len(levels)), ""
+    yield Choice(np.isin(owner, springs), levels, np.zeros(len(levels)))
     key = np.array([level_key(i, level) for i, level in zip(owner, together, strict=True)])
-    for name, effect in {str(k): e for k, e in zip(key, owners, strict=True) if not e.compliance_of}.items():
+    others = {str(k): e for k, e in zip(key, owners, strict=True) if not e.compliance_of}
+    form = np.isin(key, [k for k, e in others.items() if e.completes])
+    gives_way = np.isin(key, [k for k, e in others.items() if e.family is Family.SPRING and not e.completes])
+    if form.any() and gives_way.any():
+        pairs = [(level, times) for level in LEVELS for times in FACTORS]
+        rows = np.array([np.where(form, level, np.where(gives_way, times, 1.0)) for level, times in pairs])
+        odds = log_odds_of_form(np.array([level for level, _ in pairs])) * len(np.unique(key[form]))
+        yield Choice(form | gives_way, rows, odds)
+    for name, effect in others.items():
         tried = np.array(LEVELS) if effect.completes else FACTORS
         odds = log_odds_of_form(tried) if effect.completes else np.zeros(len(tried))
-        yield np.where(key == name, tried[:, None], 1.0), odds, name if effect.completes else ""
+        yield Choice(key == name, np.where(key == name, tried[:, None], 1.0), odds, name if effect.completes else "")
 
 
 def level_key(effect_id: str, level: str) -> str:

@@ -195,14 +195,16 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     block = Block(system.A, system.lower, system.upper, _beside_softening(own, system.parameters, system.scale))
     follows = _going_with(system.parameters)
     form: dict[str, float] = {}
-    for rows, log_odds, completing in choices([terms[i].effect for i in system.owner], [p.level for p in system.parameters]):
+    times = np.ones(len(own))
+    for choice in choices([terms[i].effect for i in system.owner], [p.level for p in system.parameters]):
         soft = _softness(bench, block, follows)
-        tried = own * rows
-        widths = soft * np.array([_beside_softening(w, system.parameters, system.scale) for w in tried])
-        best = int(np.argmax(bench.evidence_over_widths(block, widths) + log_odds))
-        own, block = tried[best], replace(block, width=widths[best])
-        if completing:
-            form[completing] = LEVELS[best]
+        tried = np.where(choice.of, choice.times, times)
+        widths = soft * np.array([_beside_softening(own * t, system.parameters, system.scale) for t in tried])
+        best = int(np.argmax(bench.evidence_over_widths(block, widths) + choice.log_odds))
+        times, block = tried[best], replace(block, width=widths[best])
+        if choice.completing:
+            form[choice.completing] = LEVELS[best]
+    own = own * times
     for _ in range(ROUNDS if follows else 0):  # the springs depend a little on what goes with them
         narrow = _beside_softening(own, system.parameters, system.scale)
         block = replace(block, width=_softness(bench, block, follows) * narrow)

@@ -16,7 +16,9 @@ from .scales import typical_compliance
 from .scene import Scene
 from .traits import Family
 
-TYPICAL_OFFSET = 0.03  # m; where a casting or a bearing gives way is a few centimetres off the origin that the description has
+# Where a casting or a bearing gives way is off the origin that the description has by this share of the arm's length: 3 cm of
+# an arm of 3 m
+TYPICAL_OFFSET = 0.01
 # A drive turns about its own axis. With a link that bends in the plane of the arm, at half its length and by a sixth of what the
 # drive gives way, the place is this share of the way to the next axis; what holds a drive is off by a centimetre at least.
 SHARE_OF_LINK, LEAST_OFFSET = 0.08, 0.01
@@ -44,7 +46,8 @@ class BendingPlace(Effect):
         if scene.kind == "absolute":  # under gravity the force that acts beyond a joint is another one for each joint
             return ()
         soft = typical_compliance(scene.robot)
-        far = {"a": TYPICAL_OFFSET * soft, "b": TYPICAL_OFFSET * soft, ALONG: _offset_of_drives(scene.robot) * soft}
+        across = TYPICAL_OFFSET * _lengths(scene.robot).sum() * soft
+        far = {"a": across, "b": across, ALONG: _offset_of_drives(scene.robot) * soft}
         return tuple(
             Parameter(
                 f"m_{k + 1}{axis}{e}", "m/(N m)", float(far[axis][k]), plausible=(-3.0 * float(soft[k]), 3.0 * float(soft[k])),
@@ -80,6 +83,14 @@ class BendingPlace(Effect):
             turns, shifts = f"joint_{k + 1}{axis if axis != ALONG else ''}", f"joint_{k + 1}t{e}"
             entries += [(turns, shifts, float(m)), (shifts, turns, float(m))]
         return Springs(tuple(entries))
+
+
+@lru_cache(maxsize=16)
+def _lengths(robot: Robot) -> Array:
+    """From each joint to the next one, from the last one to the TCP, (k,), m; of a joint that slides none."""
+    kin = robot.kinematics(np.zeros((1, robot.n_joints)))
+    following = np.concatenate([kin.origin[0, 1:], kin.p_tcp])
+    return np.asarray(np.linalg.norm(following - kin.origin[0], axis=1) * ~kin.is_prismatic)
 
 
 @lru_cache(maxsize=16)

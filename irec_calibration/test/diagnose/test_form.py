@@ -3,18 +3,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import improve
-from irec_calibration.diagnose.priors import LEVELS
+from irec_calibration.diagnose.priors import FACTORS, LEVELS, choices, log_odds_of_form
 from irec_calibration.diagnose.study import Study, completed_study, prepare
+from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
+from irec_calibration.effects.scales import typical_compliance
 from irec_calibration.effects.scene import Scene
 from irec_calibration.identification.identify import default_terms
 from irec_calibration.model import Model
+from irec_calibration.robot import Robot
 
 OFF = np.random.default_rng(3).normal(0.0, 0.03, (6, 3))  # m, in base_link axes of the joint's frame
 
@@ -100,3 +105,33 @@ def test_an_improved_model_has_the_place_of_bending_where_the_session_does_not_t
     assert [r.added for r in ladder.rungs] == ["", "bending_place"]
     assert ladder.before.verdict.status == "adequate"
     assert "as every robot has" in ladder.before.verdict.text
+
+
+def test_how_far_off_springs_may_sit_goes_with_the_size_of_the_robot():
+    def share(robot: Robot) -> float:
+        scene = scene_of(replace(synthetic.session(4), robot=robot))
+        return float(find_effect("bending_place").parameters(scene)[0].scale / typical_compliance(robot)[0])
+
+    def smaller(of: re.Match[str]) -> str:
+        return 'origin xyz="' + " ".join(str(0.4 * float(v)) for v in of[1].split()) + '"'
+
+    small = re.sub(r'origin xyz="([^"]+)"', smaller, synthetic.urdf())
+    assert share(Robot(small)) == pytest.approx(0.4 * share(Robot(synthetic.urdf())), rel=0.02)
+
+
+def test_a_tool_and_the_place_of_bending_are_given_their_sizes_together_before_each_by_itself():
+    def asked(*ids: str) -> list[tuple[str, ...]]:
+        owners = [find_effect(i) for i in ids]
+        return [tuple(i for i, chosen in zip(ids, c.of, strict=True) if chosen) for c in choices(owners, [""] * len(ids))]
+
+    assert asked("joint_torsion", "bending_place", "tool_compliance") == [
+        ("joint_torsion",), ("bending_place", "tool_compliance"), ("bending_place",), ("tool_compliance",),
+    ]  # fmt: skip
+    assert asked("joint_torsion", "bending_place", "sensor_gain") == [("joint_torsion",), ("bending_place",), ("sensor_gain",)]
+
+
+def test_together_every_pair_of_sizes_is_tried_a_usual_place_likelier_than_others():
+    owners = [find_effect(i) for i in ("joint_torsion", "bending_place", "tool_compliance")]
+    both = next(c for c in choices(owners, [""] * 3) if c.of.sum() == 2)
+    assert {(place, tool) for _, place, tool in both.times.tolist()} == {(p, t) for p in LEVELS for t in FACTORS.tolist()}
+    np.testing.assert_allclose(both.log_odds, log_odds_of_form(both.times[:, 1]))
