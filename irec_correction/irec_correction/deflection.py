@@ -8,6 +8,7 @@ effects/live.py); this file only sorts and evaluates forms.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -112,6 +113,7 @@ class Deflection:
         self._elastic_laws = [pair for pair in bound if pair[0].elastic]
         self._laws = [pair for pair in bound if not pair[0].elastic]
         self._pulls = [(pull, np.array([chain.index[c] for c in pull.columns], dtype=int)) for pull in pulls]
+        self._beyond = {id(pull): _columns_of(pull.beyond, chain.index) for pull in pulls if pull.beyond}
         self._refuse_hidden_springs(user)
         self._sensor = sensor
         self._weight = _Weight(robot, self._gravity, payload) if any(law.needs_gravity for law in laws) else None
@@ -178,6 +180,8 @@ class Deflection:
             for pull, columns in self._pulls:
                 tick.directions, tick.moments = J[3:, columns], J[:3, columns]
                 unseen = J.T @ self._at_base(pull.force(tick, chain.p_tcp, R), pull.torque(tick, chain.p_tcp, R))
+                if pull.beyond:
+                    unseen += self._beyond[id(pull)] * (J.T @ self._at_base(*pull.between(tick, chain.p_tcp)))
                 tick.tau_unseen += unseen[tick.drives]
                 dq += self._answer(unseen)
         else:
@@ -238,6 +242,14 @@ def _form(term: Term, scene: Scene) -> tuple[Array, LiveForm]:
         return np.zeros(0), none
     theta = term.theta(term.effect.parameters(scene))
     return theta, term.effect.live(scene, theta)
+
+
+def _columns_of(drives: Sequence[str], index: Mapping[str, int]) -> Array:
+    """1 of each column that belongs to some drives (`joint_4`, `joint_4a`, `joint_4ta`), else 0, (n_columns,)."""
+    out = np.zeros(len(index))
+    for name, i in index.items():
+        out[i] = any(name == drive or (name.startswith(drive) and not name[len(drive)].isdigit()) for drive in drives)
+    return out
 
 
 def _springs_needed(springs: list[Springs], laws: list[ColumnLaw]) -> frozenset[str]:

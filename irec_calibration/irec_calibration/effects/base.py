@@ -103,8 +103,8 @@ class Effect(ABC):
         cause: what its displacement comes from; decides about predictions and the live correction.
         elastic: a spring of the structure: part of the elastic response that other effects refer to.
         needs_elastic: reads `scene.elastic`.
-        loads_arm: a force on the arm beside process and weight (`pull`): an absolute session shows it as soon as the model has
-            springs.
+        loads_arm: a force on the arm beside process and weight (`torque_of_pull`): an absolute session shows it as soon as the
+            model has springs.
         moves_joints: in a loaded session springs turn about other lines than the robot description has: reads
             `scene.response.by_geometry`, and has `standing`, which predictions rest on.
         needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`, `tracker`,
@@ -261,10 +261,14 @@ class Effect(ABC):
         """For `acts_on = wrench`: the force and torque in tool0 that really act, (n, 3) each, N and N m."""
         raise NotImplementedError(f"{self.id} does not act on the wrench")
 
-    def pull(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
-        """For `loads_arm`: force and torque at the TCP, in tool0, (n, 3) each, N and N m, that laws of gears answer to too, in
-        proportion to theta and the same whatever the load; none where an effect does not say."""
-        return np.zeros((len(scene), 3)), np.zeros((len(scene), 3))
+    def in_wrist(self, scene: Scene) -> BoolArray:
+        """For `elastic`: which parameters are springs of wrist axes, (p,), which what pulls between forearm and flange bends."""
+        return np.array([p.axis is not None and p.axis >= scene.wrist[0] for p in self.parameters(scene)], dtype=bool)
+
+    def torque_of_pull(self, scene: Scene, theta: Array) -> Array:
+        """For `loads_arm`: torque about the actuated axes, (n, k), N m, that laws of gears answer to too, in proportion to theta
+        and the same whatever the load; none where an effect does not say."""
+        return np.zeros((len(scene), scene.n_joints))
 
     def placed(self, session: Session, values: dict[str, float]) -> Json:
         """For `registers`: where the values put the session's instruments, for the model's provenance."""

@@ -13,13 +13,12 @@ from .base import Effect, Parameter
 from .live import LiveForm, Pull, Tick
 from .scales import typical_reach
 from .scene import Scene
-from .state import ElasticResponse
+from .state import ElasticResponse, Load
 from .traits import Family
 
 AXES = ("x", "y", "z")
 FOREARM = ("along", "a", "b")  # along the axis of the joint that moves the forearm, and along its two virtual axes
 AT_FLANGE = 0.15  # m from the TCP; about where a head carries its hoses
-WRIST_AXES = 3
 # standard errors, and share of it, up to which a force has no component across gravity
 ACROSS, ACROSS_SHARE = 3.0, 0.1
 USUAL_MASS = 0.1  # of arm and payload: masses of robot descriptions are known so well
@@ -34,7 +33,8 @@ class ExternalForce(Effect):
         "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); both of these at the wrist, "
         "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
         "wrist axis, or with the first where it comes from the cell; along axes of tool0, turning with a wrist axis, where it is "
-        "fixed to a link of the wrist; and a torque, since it does not pull at the TCP. "
+        "fixed to a link of the wrist; between forearm and flange, where a dress pack that is fixed to both pulls them together "
+        "and bends the wrist alone; and a torque, since it does not pull at the TCP. "
         "Missing, the residual is there whatever the process force and depends on the pose only. In a loaded session a force "
         "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload, or "
         "at the wrist a forearm, of another mass."
@@ -75,19 +75,20 @@ class ExternalForce(Effect):
                 for t in ("sin", "cos")
                 for a in AXES
             ),
+            *(pull(f"f_{d}_pack", "between forearm and flange") for d in FOREARM if _has_pack(scene)),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         if scene.elastic is None:
             return np.zeros((len(scene), 3))
-        out: Array = np.einsum("nij,nj->ni", scene.elastic.compliance, _wrenches(scene) @ theta)
-        return out
+        return self.by_elastic(scene, theta, scene.elastic)
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.elastic is None:
             return np.zeros((len(scene), 3, len(self.parameters(scene))))
-        out: Array = scene.elastic.compliance @ _wrenches(scene)
-        return out
+        on_arm, pack = _wrenches(scene)
+        out = scene.elastic.compliance @ on_arm
+        return out if scene.elastic.of_wrist is None else np.concatenate([out, scene.elastic.of_wrist @ pack], axis=2)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         found = _weight_of_another_mass(values, scene)
@@ -110,14 +111,18 @@ class ExternalForce(Effect):
         return found is not None and abs(found[1]) <= USUAL_MASS * carried
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
-        return np.asarray(np.einsum("nijp,nj->nip", change.compliance, _wrenches(scene) @ theta))
+        on_arm, pack = _by_values(scene, theta)
+        out: Array = np.einsum("nij...,nj->ni...", change.compliance, on_arm)
+        if change.of_wrist is not None:
+            out += np.einsum("nij...,nj->ni...", change.of_wrist, pack)
+        return out
 
-    def pull(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
-        wrench = _wrenches(scene) @ theta
-        return wrench[:, :3], wrench[:, 3:]
+    def torque_of_pull(self, scene: Scene, theta: Array) -> Array:
+        on_arm, pack = (Load(scene.arm, w[:, :3], w[:, 3:]).tau for w in _by_values(scene, theta))
+        return np.asarray(on_arm + pack * (np.arange(scene.n_joints) >= scene.wrist[0]))
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
-        return _Pull(theta, _turning(scene), _forearm(scene), _wrist_centre(scene), _turning_in_tool(scene))
+        return _Pull(theta, scene)
 
 
 def _weight_of_another_mass(values: Mapping[str, tuple[float, float]], scene: Scene) -> tuple[float, float, bool] | None:
@@ -139,81 +144,98 @@ def _weight_of_another_mass(values: Mapping[str, tuple[float, float]], scene: Sc
     return along, along / max(g, 1e-9), constant is at_wrist
 
 
-def _wrenches(scene: Scene) -> Array:
-    """Wrench in tool0 by one of each parameter, (n, 6, p), N and N m; kept with the view, since fits ask thousands of times."""
+def _wrenches(scene: Scene) -> tuple[Array, Array]:
+    """Wrench in tool0 by one of each parameter, N and N m: of those that pull at the arm, (n, 6, p), and of those that pull
+    between forearm and flange, which are the last, (n, 6, q); kept with the view, since fits ask thousands of times."""
     rows, known = scene.view.kept.get("pulls", (None, None))
     if rows is not scene.rows:
         known = _wrenches_anew(scene)
         scene.view.kept["pulls"] = scene.rows, known
-    return np.asarray(known)
+    on_arm, pack = known
+    return on_arm, pack
 
 
-def _wrenches_anew(scene: Scene) -> Array:
+def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
+    """Wrench in tool0 by values of all parameters, (n, 6), on the arm, and between forearm and flange."""
+    on_arm, pack = _wrenches(scene)
+    return on_arm @ theta[: on_arm.shape[2]], pack @ theta[on_arm.shape[2] :]
+
+
+def _wrenches_anew(scene: Scene) -> tuple[Array, Array]:
     in_tool = np.swapaxes(scene.kin.R_tool, 1, 2)  # of each unit force in base_link
     none, unit = np.zeros_like(in_tool), np.tile(np.eye(3), (len(scene), 1, 1))
     by_wrist = [in_tool * t(scene.q[:, k])[:, None, None] for k in _turning(scene) for t in (np.sin, np.cos)]
     k = _forearm(scene)
     frame = np.concatenate([scene.kin.axis[:, k, :, None], np.swapaxes(scene.kin.virtual_axis[:, k], 1, 2)], axis=2)
     p_wrist = scene.kin.origin[:, _wrist_centre(scene)]
-    lever = p_wrist - scene.p_tcp
-    moments = in_tool @ np.stack([np.cross(lever, e) for e in np.eye(3)], axis=2)
+
+    def at(point: Array) -> Array:
+        """Of each unit force in base_link at a point, (n, 6, 3)."""
+        moments = in_tool @ np.stack([np.cross(point - scene.p_tcp, e) for e in np.eye(3)], axis=2)
+        return np.concatenate([in_tool, moments], axis=1)
+
     force = [in_tool, unit, -in_tool @ scene.p_tcp[:, :, None], *by_wrist, in_tool @ frame]
-    wrist = np.concatenate([in_tool, moments], axis=1)
+    wrist = at(p_wrist)
     by_wrist_in_tool = [unit * t(scene.q[:, k])[:, None, None] for k in _turning_in_tool(scene) for t in (np.sin, np.cos)]
-    return (
-        np.concatenate(
-            [
-                *(np.concatenate([columns, np.zeros_like(columns)], axis=1) for columns in force),
-                np.concatenate([none, unit], axis=1),
-                wrist,
-                -wrist @ p_wrist[:, :, None],
-                *(np.concatenate([columns, none], axis=1) for columns in by_wrist_in_tool),
-            ],
-            axis=2,
-        )
-        * scene.rows.under_load[:, None, None]
-    )
-
-
-def _wrist(scene: Scene) -> list[int]:
-    return [k for k in range(scene.n_joints) if scene.driven[k]][-WRIST_AXES:]
+    on_arm = [
+        *(np.concatenate([columns, np.zeros_like(columns)], axis=1) for columns in force),
+        np.concatenate([none, unit], axis=1),
+        wrist,
+        -wrist @ p_wrist[:, :, None],
+        *(np.concatenate([columns, none], axis=1) for columns in by_wrist_in_tool),
+    ]
+    pack = at(scene.kin.origin[:, -1]) @ frame if _has_pack(scene) else np.zeros((len(scene), 6, 0))
+    under_load = scene.rows.under_load[:, None, None]
+    return np.concatenate(on_arm, axis=2) * under_load, pack * under_load
 
 
 def _turning(scene: Scene) -> list[int]:
     """Joints with whose angle a pull may change: those of the wrist and, in a loaded session, the first, where a hose comes from
     the cell (in an absolute one an arm that swings about has too much else that goes with it)."""
-    wrist = _wrist(scene)
+    wrist = scene.wrist
     return wrist if scene.kind == "absolute" or wrist[0] == 0 or scene.kin.is_prismatic[0] else [0, *wrist]
 
 
 def _turning_in_tool(scene: Scene) -> list[int]:
     """Joints of the wrist with whose angle a pull along axes of tool0 may change: what is fixed to a link of the wrist turns so.
     A session without process shows too little beside the weight to tell it."""
-    return _wrist(scene) if scene.kind == "loaded" else []
+    return scene.wrist if scene.kind == "loaded" else []
+
+
+def _has_pack(scene: Scene) -> bool:
+    """Whether a pull between forearm and flange can show. In a session without process all of it does, and passes for weight."""
+    return scene.kind == "loaded" and scene.wrist[0] > 0
 
 
 def _forearm(scene: Scene) -> int:
     """The joint that moves the forearm, the last one before the wrist."""
-    return max(_wrist(scene)[0] - 1, 0)
+    return max(scene.wrist[0] - 1, 0)
 
 
 def _wrist_centre(scene: Scene) -> int:
     """The joint whose origin is where the axes of a wrist meet."""
-    wrist = _wrist(scene)
+    wrist = scene.wrist
     return wrist[len(wrist) // 2]
 
 
 class _Pull(Pull):
-    def __init__(self, theta: Array, turning: list[int], forearm: int, centre: int, turning_in_tool: list[int]) -> None:
+    def __init__(self, theta: Array, scene: Scene) -> None:
+        turning, self._turning_in_tool = _turning(scene), _turning_in_tool(scene)
         self._constant, self._in_tool, self._k = theta[:3], theta[3:6], float(theta[6])
         end = 7 + 6 * len(turning)
         self._by_angle, self._turning = theta[7:end].reshape(-1, 3), turning
         self._by_forearm, self._torque_in_tool = theta[end : end + 3], theta[end + 3 : end + 6]
         self._at_wrist, self._k_wrist = theta[end + 6 : end + 9], float(theta[end + 9])
-        self._by_angle_in_tool, self._turning_in_tool = theta[end + 10 :].reshape(-1, 3), turning_in_tool
+        last = end + 10 + 6 * len(self._turning_in_tool)
+        self._by_angle_in_tool, self._pack = theta[end + 10 : last].reshape(-1, 3), theta[last:]
         self._has_forearm, self._has_wrist = bool(self._by_forearm.any()), bool(self._at_wrist.any() or self._k_wrist)
-        joints = [forearm] * self._has_forearm + [centre] * self._has_wrist
+        self._has_pack = bool(self._pack.any())
+        joints = [_forearm(scene)] * (self._has_forearm or self._has_pack)
+        joints += [_wrist_centre(scene)] * self._has_wrist + [scene.n_joints - 1] * self._has_pack
         self.columns = tuple(f"joint_{k + 1}{side}" for k in joints for side in ("", "a", "b"))
+        self._wrist = 3 * (self._has_forearm or self._has_pack)  # where its columns begin
+        if self._has_pack:
+            self.beyond = tuple(f"joint_{k + 1}" for k in range(scene.wrist[0], scene.n_joints))
 
     def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
         in_tool = self._in_tool + _waves(tick.q, self._turning_in_tool) @ self._by_angle_in_tool
@@ -221,25 +243,30 @@ class _Pull(Pull):
         if self._has_forearm:
             out += tick.directions[:, :3] @ self._by_forearm
         if self._has_wrist:
-            out += self._pull_of_wrist(self._p_wrist(tick))
+            out += self._pull_of_wrist(_where(tick, self._wrist))
         return out
 
     def torque(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
         out: Array = R_tool @ self._torque_in_tool
         if self._has_wrist:
-            p_wrist = self._p_wrist(tick)
+            p_wrist = _where(tick, self._wrist)
             out += np.cross(p_wrist - p_tcp, self._pull_of_wrist(p_wrist))
         return out
+
+    def between(self, tick: Tick, p_tcp: Array) -> tuple[Array, Array]:
+        force = tick.directions[:, :3] @ self._pack
+        return force, np.cross(_where(tick, tick.directions.shape[1] - 3) - p_tcp, force)
 
     def _pull_of_wrist(self, p_wrist: Array) -> Array:
         out: Array = self._at_wrist - self._k_wrist * p_wrist
         return out
 
-    @staticmethod
-    def _p_wrist(tick: Tick) -> Array:
-        """From three columns a_i at right angles that turn about it: sum of a_i x (p x a_i) = 2 p."""
-        out: Array = 0.5 * np.cross(tick.directions[:, -3:], tick.moments[:, -3:], axis=0).sum(axis=1)
-        return out
+
+def _where(tick: Tick, first: int) -> Array:
+    """A point p from three columns a_i at right angles that turn about it: sum of a_i x (p x a_i) = 2 p."""
+    columns = slice(first, first + 3)
+    out: Array = 0.5 * np.cross(tick.directions[:, columns], tick.moments[:, columns], axis=0).sum(axis=1)
+    return out
 
 
 def _waves(q: Array, joints: list[int]) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..typing import Array
+from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
 from .scales import typical_compliance
@@ -25,8 +25,10 @@ class JointCoupling(Effect):
     elastic = True
 
     def pairs(self, scene: Scene) -> list[tuple[int, int]]:
-        last = [k for k in range(scene.n_joints) if scene.driven[k]][-3:]
-        return [(k, j) for i, k in enumerate(last) for j in last[i + 1 :]]
+        return [(k, j) for i, k in enumerate(scene.wrist) for j in scene.wrist[i + 1 :]]
+
+    def in_wrist(self, scene: Scene) -> BoolArray:
+        return np.ones(len(self.parameters(scene)), dtype=bool)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale = typical_compliance(scene.robot)

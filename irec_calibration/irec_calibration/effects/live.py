@@ -121,9 +121,11 @@ class Pull(ABC):
 
     Attributes:
         columns: names of columns whose directions and moments it reads (`tick.directions`, `tick.moments`).
+        beyond: drives between two links that it pulls together: only what gives way there answers (`between`); none: it does not.
     """
 
     columns: tuple[str, ...] = ()
+    beyond: tuple[str, ...] = ()
 
     @abstractmethod
     def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
@@ -132,6 +134,10 @@ class Pull(ABC):
     def torque(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
         """Torque on the robot about the TCP, in base_link, (3,), N m."""
         return np.zeros(3)
+
+    def between(self, tick: Tick, p_tcp: Array) -> tuple[Array, Array]:
+        """For a pull between two links: force and torque about the TCP on the one beyond, in base_link, (3,) each, N and N m."""
+        return np.zeros(3), np.zeros(3)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from ..robot import Kinematics, Payload, Robot
 from ..typing import Array, BoolArray, IntArray
 from .state import Arm, ElasticResponse, Gravity, Instruments, Load, Rows, View, cut
 
+WRIST_AXES = 3
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -124,6 +126,12 @@ class Scene:
     def driven(self) -> BoolArray:
         """False for passive joints, (k,)."""
         return self.arm.driven
+
+    @property
+    def wrist(self) -> list[int]:
+        """Joints of the wrist, counted from 0: the last three driven ones."""
+        found: list[int] = np.flatnonzero(self.driven)[-WRIST_AXES:].tolist()
+        return found
 
     @property
     def n_joints(self) -> int:

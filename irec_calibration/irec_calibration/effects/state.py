@@ -282,12 +282,15 @@ class ElasticResponse:
         compliance: displacement by force and torque in tool0, (n, 3, 6), m/N and m/(N m).
         by_geometry: derivative of the displacement by the parameters of `geometry_error`, (n, 3, g); None where it was not asked
             for.
+        of_wrist: as compliance, of the springs of wrist axes alone, (n, 3, 6): what a wrench between forearm and flange moves;
+            None in an absolute session.
     """
 
     displacement: Array
     rotation: Array
     compliance: Array
     by_geometry: Array | None = None
+    of_wrist: Array | None = None
 
 
 NOT_PER_ROW = ("driven", "in_base", "is_prismatic", "virtual_in_joint")  # arrays of parts and kinematics that are not per row

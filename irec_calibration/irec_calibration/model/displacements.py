@@ -90,6 +90,7 @@ def elastic_response(terms: Sequence[Term], scene: Scene, mover: Effect | None =
     """
     n = len(scene)
     u, rotation, compliance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 6))
+    of_wrist = np.zeros((n, 3, 6)) if scene.kind == "loaded" else None
     turned = []
     for term in loaded(terms, scene):
         if not term.effect.elastic:
@@ -97,9 +98,11 @@ def elastic_response(terms: Sequence[Term], scene: Scene, mover: Effect | None =
         theta = term.theta(parameters_of(term.effect, scene))
         one = response_of(term.effect, theta, scene)
         u, rotation, compliance = u + one.displacement, rotation + one.rotation, compliance + one.compliance
+        if of_wrist is not None and one.of_wrist is not None:
+            of_wrist = of_wrist + one.of_wrist
         more = None if mover is None else by_geometry(term.effect, theta, scene, mover)
         turned += [] if more is None else [more]
-    return ElasticResponse(u, rotation, compliance, np.sum(turned, axis=0) if turned else None)
+    return ElasticResponse(u, rotation, compliance, np.sum(turned, axis=0) if turned else None, of_wrist)
 
 
 def mover_of(effects: Iterable[Effect], scene: Scene) -> Effect | None:
@@ -120,8 +123,8 @@ def with_pull(terms: Sequence[Term], scene: Scene) -> Scene:
     pulls = [t for t in terms if t.effect.loads_arm and any(e.value for e in t.estimates.values())]
     if not pulls:
         return scene if scene.tau_unseen is None else scene.loaded_otherwise(tau_unseen=None)
-    wrenches = [t.effect.pull(scene, t.theta(parameters_of(t.effect, scene))) for t in pulls]
-    return scene.loaded_otherwise(tau_unseen=np.sum([Load(scene.arm, *wrench).tau for wrench in wrenches], axis=0))
+    torques = [t.effect.torque_of_pull(scene, t.theta(parameters_of(t.effect, scene))) for t in pulls]
+    return scene.loaded_otherwise(tau_unseen=np.sum(torques, axis=0))
 
 
 def displacements(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) -> dict[str, Array]:
@@ -208,8 +211,7 @@ def _torque_of_pull(effect: Effect, scene: Scene) -> Array:
     name = f"torque of {effect.id}"
     rows, of, known = scene.view.kept.get(name, (None,) * 3)
     if rows is not scene.rows or of is not effect:
-        pulls = (effect.pull(scene, one) for one in np.eye(len(parameters_of(effect, scene))))
-        known = np.stack([Load(scene.arm, *wrench).tau for wrench in pulls], axis=2)
+        known = np.stack([effect.torque_of_pull(scene, one) for one in np.eye(len(parameters_of(effect, scene)))], axis=2)
         scene.view.kept[name] = scene.rows, effect, known
     return np.asarray(known)
 

@@ -5,7 +5,7 @@ other wrench: where the force sensor is in doubt, a fit asks for it thousands of
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 from ..effects import Effect, parameters_of
 from ..effects.scene import Scene
 from ..effects.state import ElasticResponse, Gravity, Rows
-from ..typing import Array
+from ..typing import Array, BoolArray
 
 ROWS_KEPT = 3000  # of a scene up to which it is kept
 STEP = 1e-5  # m and rad, by which joints are moved for a derivative
@@ -39,12 +39,13 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class _Kept:
-    """An answer with what it was computed for."""
+    """An answer with what it was computed for; wrist: which of its parameters are springs of wrist axes, (p,)."""
 
     effect: Effect
     rows: Rows
     gravity: Gravity
     columns: Answer
+    wrist: BoolArray
     values: dict[bytes, Answer]
 
     def fits(self, effect: Effect, scene: Scene) -> bool:
@@ -60,12 +61,19 @@ def is_kept(effect: Effect, scene: Scene) -> bool:
 def response_of(effect: Effect, theta: Array, scene: Scene) -> ElasticResponse:
     """What effects see of a spring at values of its parameters: as it is kept, or asked anew."""
     if is_kept(effect, scene):
-        return answer_of(effect, theta, scene).response(scene)
+        found, known = answer_of(effect, theta, scene).response(scene), _kept(effect, theta, scene)
+        if scene.kind == "loaded" and known.wrist.any():
+            found = replace(found, of_wrist=_at(known.columns.by_wrench[:, :, 0], theta * known.wrist))
+        return found
     u = effect.displacement(scene, theta)
     pressed = [scene.with_wrench(scene.force_in_tool + e[:3], scene.torque_in_tool + e[3:]) for e in np.eye(6)]
     further = [scene.seen_at(scene.p_observed + e) for e in np.eye(3)]
     by_wrench, by_place = (np.stack([effect.displacement(s, theta) - u for s in there], axis=2) for there in (pressed, further))
-    return ElasticResponse(u, _rotation(by_place), by_wrench)
+    of_wrist, wrist = None, theta * effect.in_wrist(scene)
+    if scene.kind == "loaded" and wrist.any():
+        here = effect.displacement(scene, wrist)
+        of_wrist = np.stack([effect.displacement(s, wrist) - here for s in pressed], axis=2)
+    return ElasticResponse(u, _rotation(by_place), by_wrench, of_wrist=of_wrist)
 
 
 def by_parameters(effect: Effect, theta: Array, scene: Scene, columns: Array, mover: Effect | None = None) -> ElasticResponse:
@@ -78,12 +86,15 @@ def by_parameters(effect: Effect, theta: Array, scene: Scene, columns: Array, mo
     if not is_kept(effect, scene):
         n, p = len(scene), columns.shape[2]
         return ElasticResponse(columns, np.zeros((n, 3, p)), np.zeros((n, 3, 6, p)))
-    known = _kept(effect, theta, scene).columns
+    kept = _kept(effect, theta, scene)
+    known = kept.columns
     u = known.at_rest + np.einsum("nijkp,nk->nijp", known.by_wrench, _wrench(scene))
     turned = None
     if mover is not None and not effect.completes:
         turned = np.einsum("nikgp,nk->nigp", _by_geometry(effect, scene, mover).columns, _wrench(scene))
-    return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), known.by_wrench[:, :, 0], turned)
+    by_wrench = known.by_wrench[:, :, 0]
+    of_wrist = by_wrench * kept.wrist if scene.kind == "loaded" else None
+    return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), by_wrench, turned, of_wrist)
 
 
 def by_geometry(effect: Effect, theta: Array, scene: Scene, mover: Effect) -> Array | None:
@@ -117,7 +128,7 @@ def _kept(effect: Effect, theta: Array, scene: Scene) -> _Kept:
     known = scene.view.kept.get(effect.id)
     if not isinstance(known, _Kept) or not known.fits(effect, scene):
         columns = _asked(lambda s: effect.regressor(s, np.zeros_like(theta)), scene)
-        known = scene.view.kept[effect.id] = _Kept(effect, scene.rows, scene.gravity, columns, {})
+        known = scene.view.kept[effect.id] = _Kept(effect, scene.rows, scene.gravity, columns, effect.in_wrist(scene), {})
     return known
 
 
