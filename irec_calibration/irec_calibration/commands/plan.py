@@ -96,7 +96,7 @@ def _plan(args: argparse.Namespace, cell: Cell) -> tuple[Plan, Told | None]:
     n = POSES_TO_TELL if args.n is None else args.n
     session = read_session(args.to_tell)
     check_plausible(session)
-    asked = left_open(session, progress=Progress())
+    asked = left_open(session, cell, progress=Progress())
     told: list[Told] = []
 
     def choose(pool: Pool) -> IntArray:

@@ -33,15 +33,25 @@ class Open:
     ratio: float
 
 
-def left_open(session: Session, progress: Progress | None = None) -> Open:
+def left_open(session: Session, cell: Cell, progress: Progress | None = None) -> Open:
     """Diagnose a session for what it does not tell.
 
+    Args:
+        cell: where more poses are to be measured.
+
     Raises:
-        PlanError: it is not a loaded one, or nothing is in question.
+        PlanError: it is not a loaded one, of another robot than the cell's, or nothing is in question.
         SolveError: as of `diagnose`.
     """
     if session.kind != "loaded":
         raise PlanError(f"{session.path or session.name}: is {session.kind}: poses on a tooling tell about loaded sessions only")
+    if session.serial and cell.serial and session.serial != cell.serial:
+        raise PlanError(f"{session.path or session.name}: is of robot {session.serial!r}, {cell.path} of {cell.serial!r}")
+    if session.robot.joint_names != cell.robot.joint_names or session.robot.sha256 != cell.robot.sha256:
+        raise PlanError(
+            f"{session.path or session.name}: was measured with another robot description (SHA-256 {session.robot.sha256[:12]}..)"
+            f" than {cell.path} has ({cell.robot.sha256[:12]}..)"
+        )
     _, assessment, _ = examine(session, progress=progress)
     asked = questions(assessment)
     if not asked:
@@ -53,20 +63,8 @@ def left_open(session: Session, progress: Progress | None = None) -> Open:
 
 
 def chosen_to_tell(asked: Open, cell: Cell, pool: Pool, n: int) -> Told:
-    """The poses of a pool that tell best.
-
-    Raises:
-        PlanError: the session is of another robot than the cell's.
-    """
-    session = asked.session
-    if session.serial and cell.serial and session.serial != cell.serial:
-        raise PlanError(f"{session.path or session.name}: is of robot {session.serial!r}, {cell.path} of {cell.serial!r}")
-    if session.robot.joint_names != cell.robot.joint_names or session.robot.sha256 != cell.robot.sha256:
-        raise PlanError(
-            f"{session.path or session.name}: was measured with another robot description (SHA-256 {session.robot.sha256[:12]}..)"
-            f" than {cell.path} has ({cell.robot.sha256[:12]}..)"
-        )
-    return choose(asked.questions, imagined(session, cell, pool), n, asked.ratio)
+    """The poses of a pool that tell best."""
+    return choose(asked.questions, imagined(asked.session, cell, pool), n, asked.ratio)
 
 
 def imagined(session: Session, cell: Cell, pool: Pool) -> Session:
