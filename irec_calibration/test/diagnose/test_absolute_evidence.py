@@ -138,7 +138,7 @@ def test_settling_and_friction_of_one_axis_are_named_where_both_together_are_bet
 @pytest.mark.parametrize(
     ("axis", "law", "name"),
     [
-        (1, np.sign, "joint_hysteresis"),
+        pytest.param(1, np.sign, "joint_hysteresis", marks=pytest.mark.long),
         (2, lambda step: 3.0 * np.tanh(step / 0.06), "joint_hysteresis"),
         (3, lambda step: 2.0 * step, "joint_settling"),
     ],

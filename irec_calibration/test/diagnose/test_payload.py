@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 import synthetic
-from irec_calibration.diagnose import compare, improve
+from irec_calibration.diagnose import Ladder, compare, improve
 from irec_calibration.diagnose.payload import with_payload_as_shown
 from irec_calibration.diagnose.study import completed_study, prepare
 from irec_calibration.effects.of_session import carrying, scene_of
@@ -48,11 +48,21 @@ def as_shown(session: Session) -> Session:
     return with_payload_as_shown(session, completed_study(prepare(session, default_terms(session))))
 
 
+@cache
+def shown() -> Session:
+    return as_shown(measured(True))
+
+
+@cache
+def improved() -> Ladder:
+    return improve(measured(True))
+
+
 def test_the_mass_of_a_tool_that_nobody_stated_is_found() -> None:
-    shown = as_shown(measured(True))
-    about = np.linalg.norm(TOOL.com) / np.linalg.norm(shown.payload.com)  # its moment is what shows
-    assert shown.payload.mass == pytest.approx(about * TOOL.mass, rel=0.5)
-    assert any("no payload is stated" in note and "which is taken: state it" in note for note in shown.notes)
+    payload = shown().payload
+    about = np.linalg.norm(TOOL.com) / np.linalg.norm(payload.com)  # its moment is what shows
+    assert payload.mass == pytest.approx(about * TOOL.mass, rel=0.5)
+    assert any("no payload is stated" in note and "which is taken: state it" in note for note in shown().notes)
 
 
 def test_where_it_sits_is_found_too_since_narrow_play_asks_for_it() -> None:
@@ -74,14 +84,13 @@ def test_a_payload_that_is_stated_is_believed() -> None:
 
 
 def test_play_is_found_by_a_session_that_does_not_state_the_tool() -> None:
-    verdict = improve(measured(True)).before.verdict
+    verdict = improved().before.verdict
     assert "joint_backlash" in (*verdict.effects, *(i for s in verdict.one_of for i in s))
 
 
 def test_a_model_counts_on_the_payload_wherever_none_is_stated(tmp_path) -> None:
-    ladder = improve(measured(True))
-    model = load_model(save_model(ladder.model, tmp_path / "model.yaml"))
-    assert model.carried == as_shown(measured(True)).payload
+    model = load_model(save_model(improved().model, tmp_path / "model.yaml"))
+    assert model.carried == shown().payload
     other = synthetic.session(20, 9, extra=play(TOOL))
     scene, heavier = scene_of(other, observe="tcp"), scene_of(replace(other, payload=model.carried), observe="tcp")
     np.testing.assert_allclose(model.predict(scene), model.predict(heavier), atol=1e-12)

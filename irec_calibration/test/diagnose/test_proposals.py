@@ -57,6 +57,7 @@ def gear_3_softens_while_it_is_measured(scene: Scene) -> Array:
     return np.einsum("nik,nk->ni", scene.kin.jacobian(scene.p_observed), angle)
 
 
+@pytest.mark.long
 def test_a_gear_that_gives_way_to_the_torque_of_another_axis_is_proposed_and_stands_in() -> None:
     ladder = improve(synthetic.session(poses=30, seed=8, extra=axes_2_and_3_give_way_to_each_others_torque))
     laws = {r.formula for r in ladder.rungs if r.formula}
