@@ -10,10 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..identification.validation import gain
 from .explanation import Explanation, everywhere, in_one_pose, remainder_of, shown_by_readings, without
 from .family import Family
 from .form_errors import evidence_beside, feigned
 from .forms import Forms, bends, courses, forms_of, has_form_of
+from .held_out import held_out, only_good_poses
 from .naming import needed, odds_of
 from .readings import against
 from .remainder import Part
@@ -69,7 +71,7 @@ def standing(start: Explanation, one: Explanation, family: Family, settings: Set
         else:
             most = np.inf
         weak = weak or [i for i in one.ids if against(one.study, one.term(i))]  # where others' names have moved its values
-        if not weak and not _together(start, one, family, settings):
+        if not weak and not (_together(start, one, family, settings) and _helps(start, one)):
             weak = list(one.ids)
         if not weak:
             return one, evidence
@@ -137,6 +139,16 @@ def _together(start: Explanation, one: Explanation, family: Family, settings: Se
     instead = remainder_of(start.study, family, known, forms).gained
     left = remainder_of(one.study, family, known, forms).gained
     return one.named - start.named + left - instead >= sum(needed(one, i, settings) for i in ids)
+
+
+def _helps(start: Explanation, one: Explanation) -> bool:
+    """Whether a model predicts held-out poses better than what it started from: one that came in beside another, which has fallen
+    since, was asked beside that one. What one pose shows no other pose predicts."""
+    if all(in_one_pose(one, i) for i in one.ids):
+        return True
+    before, after = (only_good_poses(held_out(e.study), one.study, one.remainder) for e in (start, one))
+    mean, _, _ = gain(before, after)
+    return not mean < 0.0  # not known of too few poses
 
 
 def outweighed(

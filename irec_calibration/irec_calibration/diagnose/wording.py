@@ -307,10 +307,12 @@ def _falls(assessment: Assessment, shown: Shown) -> str:
     asked, after = shown.asked, shown.after
     aside = [r for p in assessment.stand_out for r in p.structure.rows]
     good = np.setdiff1d(np.intersect1d(asked.study.observation.rows, after.study.observation.rows), aside)
-    figures = [f"{length(m.held_out.rms_m)}" for m in (asked, after)]
-    usual = [f"{length(m.held_out.rms_of(np.isin(m.study.observation.rows, good)))}" for m in (asked, after)]
-    begin = f"Added{', with what every robot has' if assessment.usual else ''}, the error on held-out poses falls from"
-    if usual == figures or not len(good):
+    whole = [m.held_out.rms_m for m in (asked, after)]
+    of_good = [m.held_out.rms_of(np.isin(m.study.observation.rows, good)) for m in (asked, after)] if len(good) else whole
+    goes = "falls" if of_good[1] < of_good[0] else "goes"
+    figures, usual = ([f"{length(v)}" for v in values] for values in (whole, of_good))
+    begin = f"Added{', with what every robot has' if assessment.usual else ''}, the error on held-out poses {goes} from"
+    if usual == figures:
         return f"{begin} {figures[0]} to {figures[1]}."
     return f"{begin} {usual[0]} to {usual[1]} without the readings that stand out, from {figures[0]} to {figures[1]} with them."
 

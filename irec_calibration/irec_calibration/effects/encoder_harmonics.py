@@ -35,9 +35,8 @@ class EncoderHarmonics(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         # in a loaded session only errors far above those of a sound encoder can show
         size = 1e-3 if scene.kind == "loaded" else 1e-4
-        limit = 1e-2 if scene.kind == "loaded" else LARGEST
         return tuple(
-            Parameter(f"{t}{m}_{k + 1}", "rad", size, plausible=(-limit, limit), group=f"axis {k + 1}", axis=int(k))
+            Parameter(f"{t}{m}_{k + 1}", "rad", size, plausible=(-LARGEST, LARGEST), group=f"axis {k + 1}", axis=int(k))
             for k in np.flatnonzero(self._turning(scene))
             for m in (1, 2)
             for t in ("a", "b")

@@ -51,6 +51,11 @@ def test_a_reading_that_one_of_two_models_leaves_out_does_not_make_the_error_fal
     assert "falls from 100 um to 50.0 um without" in missing("joint_backlash", asked=asked, after=after)
 
 
+def test_an_error_that_does_not_fall_is_not_said_to_fall() -> None:
+    text = missing("joint_backlash", asked=made([1, 2], [5e-5, 5e-5]), after=made([1, 2], [6e-5, 6e-5]))
+    assert "the error on held-out poses goes from 50.0 um to 60.0 um." in text
+
+
 def test_of_several_effects_it_is_said_whose_axes_are_not_sure() -> None:
     text = missing("joint_backlash", "joint_torsion")
     assert "Joint backlash: perhaps also axis 3" in text and "Joint torsion: perhaps also axis 3" in text

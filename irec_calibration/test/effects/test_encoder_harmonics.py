@@ -6,10 +6,13 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import absolute_sessions
 import numpy as np
 import pytest
+import synthetic
 from irec_calibration.effects import encoder_harmonics
 from irec_calibration.effects.encoder_harmonics import EncoderHarmonics
+from irec_calibration.effects.of_session import scene_of
 
 EFFECT = EncoderHarmonics()
 
@@ -64,3 +67,9 @@ def test_harmonics_that_may_as_well_be_small_are_not_held_against_it() -> None:
 def test_what_small_harmonics_of_another_axis_do_is_not_asked() -> None:
     values = {"a1_1": (1e-4, 1e-5), "b1_2": (2e-4, 1e-5), "b2_2": (-0.45e-4, 1e-5)}
     assert not EFFECT.why_impossible(values, {}, arm(60.0))
+
+
+def test_no_encoder_is_worse_in_a_loaded_session_than_in_an_absolute_one() -> None:
+    loaded, absolute = (EFFECT.parameters(scene_of(s)) for s in (synthetic.session(2), absolute_sessions.session(poses=4)))
+    limits = {p.plausible for p in (*loaded, *absolute)}
+    assert limits == {(-encoder_harmonics.LARGEST, encoder_harmonics.LARGEST)}
