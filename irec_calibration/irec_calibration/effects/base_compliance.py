@@ -23,6 +23,11 @@ TILT_UNDER_OWN_WEIGHT = 2e-4  # rad; ROTATION under the 10 kN m of a heavy robot
 # What gives way under a force at a height h tilts too: a pedestal by 3 / h^2 of it per N m, a plate on mounts by more. With the
 # TCP a metre or two above and beside the base the tilt is the larger part; a base slides without tilting only where it is loose.
 ONLY_SLIDES = -3.0  # odds of 20 against it, natural log
+# What tilts, tilts about a line elsewhere: at the foot of a pedestal, an edge of the plate, the wheels of a platform. So a moment
+# about y moves base_link along x and z too, and a force along x or z at base_link tilts it: one coupling of both each.
+COUPLED = (("x", "y"), ("y", "x"), ("z", "x"), ("z", "y"))  # translation along, tilt about
+PLACE = 0.3  # m; typical distance of that line
+ELSEWHERE_ALONE = -5.0  # odds of 150 against a place of tilting without a tilt, natural log
 LOOK = "check the bolts of the base, the pedestal and the floor"
 
 
@@ -57,13 +62,24 @@ def _rotation(scene: Scene) -> tuple[float, float]:
     return max(ROTATION, TILT_UNDER_OWN_WEIGHT / moment), max(SOFTEST_ROTATION, TWIST_UNDER_OWN_WEIGHT / moment)
 
 
+def tilt_elsewhere(scene: Scene) -> Array:
+    """Displacement per unit of each coupling of a translation with a tilt (`COUPLED`), (n, 3, 4), N and N m."""
+    f, moment = scene.load_wrench_at_base()
+    out = np.zeros((len(scene), 3, len(COUPLED)))
+    for c, (along, about) in enumerate((AXES.index(t), AXES.index(r)) for t, r in COUPLED):
+        out[:, along, c] += moment[:, about]
+        out[:, :, c] += np.cross(np.eye(3)[about], scene.p_observed) * f[:, along, None]
+    return out
+
+
 class BaseCompliance(Effect):
     id = "base_compliance"
     label = "base compliance"
     physics = (
         "Pedestal and floor give way: a 6-DOF spring at base_link loaded by the force and its moment r x f; r_xy where it is "
-        "softest about a horizontal axis between x and y. Missing, the residual is constant in the base frame and grows with "
-        "reach. Rotation about the base z axis is the same as torsion of axis 1."
+        "softest about a horizontal axis between x and y; tr_xy, tr_yx, tr_zx, tr_zy where it tilts about a line off base_link, "
+        "as at the foot of a pedestal or an edge of its plate (tr_xy: a moment about y moves it along x). Missing, the residual "
+        "is constant in the base frame and grows with reach. Rotation about the base z axis is the same as torsion of axis 1."
     )
     family = Family.SPRING
     usual_in = ("loaded", "absolute")
@@ -79,13 +95,19 @@ class BaseCompliance(Effect):
             *(Parameter(f"t_{a}", "m/N", 1e-8, lower=0.0, plausible=(0.0, most), group="translation") for a in AXES),
             *(Parameter(f"r_{a}", "rad/(N m)", scale, lower=0.0, plausible=(0.0, limit), group="rotation") for a in AXES),
             Parameter("r_xy", "rad/(N m)", scale, plausible=(-limit, limit), group="rotation"),
+            *(
+                Parameter(f"tr_{t}{r}", "m/(N m)", PLACE * scale, plausible=(-3.0 * limit, 3.0 * limit), group="place of tilting")
+                for t, r in COUPLED
+            ),
         )
 
     def log_odds_of(self, groups: Sequence[str]) -> float:
+        if "place of tilting" in groups and "rotation" not in groups:
+            return ELSEWHERE_ALONE
         return ONLY_SLIDES if tuple(groups) == ("translation",) else 0.0
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        return np.concatenate([base_spring_regressor(scene), tilt_across(scene)[:, :, None]], axis=2)
+        return np.concatenate([base_spring_regressor(scene), tilt_across(scene)[:, :, None], tilt_elsewhere(scene)], axis=2)
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         slides = "base: gives way {{:.0f}} um/kN more along {}"
@@ -100,5 +122,6 @@ class BaseCompliance(Effect):
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         columns = [f"base_{p.name}" for p in self.parameters(scene)[:6]]
-        between = (("base_r_x", "base_r_y", float(theta[6])), ("base_r_y", "base_r_x", float(theta[6])))
+        pairs = [("base_r_x", "base_r_y"), *((f"base_t_{t}", f"base_r_{r}") for t, r in COUPLED)]
+        between = [entry for (a, b), v in zip(pairs, theta[6:], strict=True) for entry in ((a, b, float(v)), (b, a, float(v)))]
         return Springs((*((c, c, float(v)) for c, v in zip(columns, theta[:6], strict=True)), *between))

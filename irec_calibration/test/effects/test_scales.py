@@ -193,6 +193,20 @@ def test_a_base_may_be_softest_about_any_horizontal_axis():
     np.testing.assert_allclose(predicted, scene.change(tilted), atol=1e-12)
 
 
+@pytest.mark.parametrize("about", [0, 1])
+@pytest.mark.parametrize("place", [(0.0, 0.0, -0.8), (0.35, 0.0, 0.0), (0.0, -0.4, 0.0)])
+def test_a_base_may_tilt_about_a_line_off_base_link(about: int, place: tuple[float, float, float]):
+    scene = scene_of(session(5, seed=1), observe="tcp")
+    soft, axis, P = 4e-8, np.eye(3)[about], np.array(place)
+    moment = np.cross(scene.p_tcp - P, scene.force) @ axis
+    tilted = soft * moment[:, None] * np.cross(axis, scene.p_tcp - P)
+    moves = -np.cross(axis, P)  # base_link by each rad
+    base = {f"r_{'xyz'[about]}": soft} | {f"t_{a}": soft * moves[i] ** 2 for i, a in enumerate("xyz")}
+    base |= {f"tr_{t}{'xyz'[about]}": soft * moves["xyz".index(t)] for t in "xyz" if moves["xyz".index(t)]}
+    predicted = Model((Term(find_effect("base_compliance"), {n: Estimate(float(v)) for n, v in base.items()}),)).predict(scene)
+    np.testing.assert_allclose(predicted, scene.change(tilted), atol=1e-12)
+
+
 def softest_likely(description: str) -> float:
     scene = scene_of(replace(session(5), robot=Robot(description)))
     (limit,) = (p.plausible[1] for p in find_effect("base_compliance").parameters(scene) if p.name == "r_x")
