@@ -34,8 +34,9 @@ def seated_anew(s: Session, p: Array) -> Array:
 
 def on_a_soft_pedestal(s: Session, p: Array) -> Array:
     effect = find_effect("base_compliance")
-    theta = np.array([0.0, 0.0, 0.0, 8e-6, 8e-6, 0.0, 0.0])  # 2 mrad under its own weight
-    return np.asarray(SOFT(s, p) + effect.regressor(scene_of(s), theta) @ theta)
+    scene = scene_of(s)
+    theta = np.array([8e-6 * (q.name in ("r_x", "r_y")) for q in effect.parameters(scene)])  # 2 mrad under its own weight
+    return np.asarray(SOFT(s, p) + effect.regressor(scene, theta) @ theta)
 
 
 def seen_at_wrong_angles(s: Session, p: Array) -> Array:

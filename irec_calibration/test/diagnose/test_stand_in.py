@@ -105,6 +105,6 @@ def test_an_effect_that_is_likelier_there_than_not_predicts_without_being_named(
 
 
 def test_nothing_stands_in_where_nothing_is_missing():
-    found = improve(session(on_a_soft_pedestal, seed=6))
+    found = improve(synthetic.session(seed=6))
     assert found.before.verdict.status == "adequate"
     assert [r.added for r in found.rungs if r.added not in ("", "bending_place")] == []
