@@ -112,8 +112,10 @@ class Deflection:
         bound = [(law, np.array([chain.index[c] for c in law.columns])) for law in laws]
         self._elastic_laws = [pair for pair in bound if pair[0].elastic]
         self._laws = [pair for pair in bound if not pair[0].elastic]
-        self._pulls = [(pull, np.array([chain.index[c] for c in pull.columns], dtype=int)) for pull in pulls]
-        self._beyond = {id(pull): _columns_of(pull.beyond, chain.index) for pull in pulls if pull.beyond}
+        self._pulls = [
+            (pull, np.array([chain.index[c] for c in pull.columns], dtype=int), _columns_of(pull.beyond, chain.index))
+            for pull in pulls
+        ]
         self._refuse_hidden_springs(user)
         self._sensor = sensor
         self._weight = _Weight(robot, self._gravity, payload) if any(law.needs_gravity for law in laws) else None
@@ -177,11 +179,11 @@ class Deflection:
             for form in self._follow:
                 dq += form.displacement(tick, elastic, self._at_tcp(J @ elastic)[0])
             tick.tau_unseen[:] = 0.0
-            for pull, columns in self._pulls:
+            for pull, columns, beyond in self._pulls:
                 tick.directions, tick.moments = J[3:, columns], J[:3, columns]
                 unseen = J.T @ self._at_base(pull.force(tick, chain.p_tcp, R), pull.torque(tick, chain.p_tcp, R))
                 if pull.beyond:
-                    unseen += self._beyond[id(pull)] * (J.T @ self._at_base(*pull.between(tick, chain.p_tcp)))
+                    unseen += beyond * (J.T @ self._at_base(*pull.between(tick, chain.p_tcp)))
                 tick.tau_unseen += unseen[tick.drives]
                 dq += self._answer(unseen)
         else:

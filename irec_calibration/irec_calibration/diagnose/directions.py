@@ -68,9 +68,9 @@ def varying(study: Study) -> dict[str, Array]:
 
 
 def least_torque(study: Study) -> Array:
-    """Torque of each axis below which it bears nothing but rounding, (k,), N m: one through the reflector that is pushed at."""
+    """Torque of each axis below which it bears nothing but rounding, (k,), N m: all forces go through it."""
     rated = rated_torque(study.ready.robot)
-    return np.asarray(BEARS * (_varies(study) / rated).max(initial=0.0) * rated)
+    return np.asarray(np.maximum(BEARS * (_varies(study) / rated).max(initial=0.0) * rated, 1e-9))
 
 
 def bearing(study: Study) -> list[int]:
@@ -131,7 +131,7 @@ def directions(study: Study) -> Iterator[Direction]:
     yield Direction("along the elastic deflection", (), scaled(scene.response.displacement[:, :, None] * on, rows))
     yield Direction("as a force at the tool", (), scaled(scene.response.compliance[:, :, :3] * on, rows))
     angle = scaled(scene.J * on, rows)
-    size = np.maximum(np.sqrt((tau[rows] ** 2).mean(axis=0)), np.maximum(least_torque(study), 1e-9))
+    size = np.maximum(np.sqrt((tau[rows] ** 2).mean(axis=0)), least_torque(study))
     twist = angle * (tau / size)[:, None, :]
     yield Direction(TURNING, (), angle)
     yield Direction(COMPLIANCE, (), twist)
@@ -175,7 +175,7 @@ def two_variables(study: Study) -> Iterator[Direction]:
     scene, rows = study.ready, study.observation.rows
     angle = scaled(scene.J * _under_load(scene), rows)
     tau = scene.load_torque()
-    size = np.maximum(np.abs(tau[rows]).max(axis=0), np.maximum(least_torque(study), 1e-9))
+    size = np.maximum(np.abs(tau[rows]).max(axis=0), least_torque(study))
     t = tau / size
     q = scene.q
     has = scene.previous >= 0

@@ -104,7 +104,8 @@ def expected_error(study: Study, held_out: HeldOut) -> ExpectedError | None:
     session = study.session
     if session.kind != "loaded" or not np.isfinite(held_out.rms_m):
         return None
-    read = np.isin(np.arange(len(session.load_case)), study.observation.rows)  # what has another pose's angles is no row of it
+    # a row that is left out, as one with another pose's joint angles, is no place at which something is predicted
+    read = np.isin(np.arange(len(session.load_case)), study.observation.rows)
     loaded = read & (session.load_case != 0) & session.on_tool
     base, bench = study.base, study.bench
     G = base.A.T @ base.A

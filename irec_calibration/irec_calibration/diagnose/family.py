@@ -27,7 +27,7 @@ SMALLEST = 1e-6  # whitened length of a column below which it can't show
 BAD_ROWS_TRIED = 25
 BAD_POSES_TRIED = 6
 STEPS_TRIED = 5  # moments at which a reflector may have been seated anew, of each marker
-ROUNDING = 1e-12  # relative
+ROUNDING = 1e-12  # of the largest diagonal entry of a Gram matrix: eigenvalues up to that are nothing but rounding
 LARGE = 6000  # equations beyond which columns are kept in single precision
 
 
@@ -156,7 +156,7 @@ def _gained(ground: Ground, alike: _Alike, V: Array, u: Array) -> tuple[Array, A
     values, vectors = np.linalg.eigh(0.5 * (S + S.transpose(0, 2, 1)))
     values = np.maximum(values, 0.0)
     w2 = np.einsum("kij,ki->kj", vectors, u) ** 2
-    w2[values <= ROUNDING * np.einsum("kii->ki", alike.grams).max(axis=1)[:, None]] = 0.0  # nothing but rounding is left of it
+    w2[values <= ROUNDING * np.einsum("kii->ki", alike.grams).max(axis=1)[:, None]] = 0.0
     a2 = (AMPLITUDES**2)[:, None, None]
     grown = 1.0 + a2 * values
     loss = ground.loss - (a2 * w2 / grown).sum(axis=2)

@@ -142,8 +142,8 @@ def _together(start: Explanation, one: Explanation, family: Family, settings: Se
 
 
 def _helps(start: Explanation, one: Explanation) -> bool:
-    """Whether a model predicts held-out poses better than what it started from: one that came in beside another, which has fallen
-    since, was asked beside that one. What one pose shows no other pose predicts."""
+    """Whether a model predicts held-out poses no worse than what it started from: one that came in beside another, which has
+    fallen since, was asked beside that one. What one pose shows no other pose predicts."""
     if all(in_one_pose(one, i) for i in one.ids):
         return True
     before, after = (only_good_poses(held_out(e.study), one.study, one.remainder) for e in (start, one))

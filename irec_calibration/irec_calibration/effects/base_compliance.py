@@ -26,7 +26,7 @@ ONLY_SLIDES = -3.0  # odds of 20 against it, natural log
 # What tilts, tilts about a line elsewhere: at the foot of a pedestal, an edge of the plate, the wheels of a platform. So a moment
 # about y moves base_link along x and z too, and a force along x or z at base_link tilts it: one coupling of both each.
 COUPLED = (("x", "y"), ("y", "x"), ("z", "x"), ("z", "y"))  # translation along, tilt about
-PLACE = 0.3  # m; typical distance of that line
+PLACE, FARTHEST = 0.3, 3.0  # m; typical distance of that line, and the largest that is physically likely
 ELSEWHERE_ALONE = -5.0  # odds of 150 against a place of tilting without a tilt, natural log
 LOOK = "check the bolts of the base, the pedestal and the floor"
 
@@ -63,7 +63,7 @@ def _rotation(scene: Scene) -> tuple[float, float]:
 
 
 def tilt_elsewhere(scene: Scene) -> Array:
-    """Displacement per unit of each coupling of a translation with a tilt (`COUPLED`), (n, 3, 4), N and N m."""
+    """Displacement per unit of each coupling of a translation with a tilt (`COUPLED`, m/(N m)), (n, 3, 4), in base_link."""
     f, moment = scene.load_wrench_at_base()
     out = np.zeros((len(scene), 3, len(COUPLED)))
     for c, (along, about) in enumerate((AXES.index(t), AXES.index(r)) for t, r in COUPLED):
@@ -90,13 +90,13 @@ class BaseCompliance(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         scale, limit = _rotation(scene)
-        most = max(SOFTEST_TRANSLATION, typical_give(scene.robot))
+        most, far = max(SOFTEST_TRANSLATION, typical_give(scene.robot)), FARTHEST * limit
         return (
             *(Parameter(f"t_{a}", "m/N", 1e-8, lower=0.0, plausible=(0.0, most), group="translation") for a in AXES),
             *(Parameter(f"r_{a}", "rad/(N m)", scale, lower=0.0, plausible=(0.0, limit), group="rotation") for a in AXES),
             Parameter("r_xy", "rad/(N m)", scale, plausible=(-limit, limit), group="rotation"),
             *(
-                Parameter(f"tr_{t}{r}", "m/(N m)", PLACE * scale, plausible=(-3.0 * limit, 3.0 * limit), group="place of tilting")
+                Parameter(f"tr_{t}{r}", "m/(N m)", PLACE * scale, plausible=(-far, far), group="place of tilting")
                 for t, r in COUPLED
             ),
         )

@@ -203,7 +203,7 @@ def _turning_in_tool(scene: Scene) -> list[int]:
 
 
 def _has_pack(scene: Scene) -> bool:
-    """Whether a pull between forearm and flange can show. In a session without process all of it does, and passes for weight."""
+    """Whether a pull between forearm and flange is looked for: a session without process shows too little beside the weight."""
     return scene.kind == "loaded" and scene.wrist[0] > 0
 
 
