@@ -118,18 +118,20 @@ class RosCell:
             self._report("preconditions", "waits for the end of the run that was left behind", 0, 0, 0.0)
             self._stop_if_cancelled()
             time.sleep(0.5)
-        nodes = [self._answers("procedure_node", self._procedure.wait_for_server)]
-        if self._activates:
-            nodes.append(self._answers("correction_node", self._activate.wait_for_service, "start and configure it"))
+        begun = time.monotonic()
         sensor = Section(self._cell.path, "", self._cell.raw).section("force_sensor")
         stations = [str(s["name"]) for s in self._cell.raw["stations"]]
         range_n, noise = sensor.number("range_n", 1.0), self._cell.noise
         seen = look(self._node, self._cell.noise, self._stop_if_cancelled)
         found = judged_readings(seen, range_n, stations, self._confirmed, self._before, noise)
+        wait = max(0.0, ANSWER_WAIT - (time.monotonic() - begun))  # they had the time of the look to be found, too
+        nodes = [self._answers("procedure_node", self._procedure.wait_for_server, wait)]
+        if self._activates:
+            nodes.append(self._answers("correction_node", self._activate.wait_for_service, wait, "start and configure it"))
         return (*nodes, *found)
 
-    def _answers(self, name: str, wait: Callable[..., bool], advice: str = "start it") -> Precondition:
-        there = bool(wait(timeout_sec=ANSWER_WAIT))
+    def _answers(self, name: str, wait_for: Callable[..., bool], wait: float, advice: str = "start it") -> Precondition:
+        there = bool(wait_for(timeout_sec=wait))
         return Precondition(name, there, "answers" if there else f"does not answer; {advice}")
 
     def lateral_factor(self, poses: PoseList, most: float) -> float:

@@ -24,7 +24,7 @@ def drifting(m_per_kelvin: float) -> Session:
     return replace(still, p_marker_in_station=still.p_marker_in_station + drift, temperature={"air": 20.0 + warmer})
 
 
-@pytest.mark.parametrize("m_per_kelvin", [2e-4, 3e-3])
+@pytest.mark.parametrize("m_per_kelvin", [2e-4, pytest.param(3e-3, marks=pytest.mark.long)])
 def test_a_drift_with_a_thermometer_is_named_whatever_it_is_per_kelvin(m_per_kelvin: float) -> None:
     verdict = diagnose(drifting(m_per_kelvin)).verdict
     assert (verdict.effects, verdict.parts["thermal_drift"].proven) == (("thermal_drift",), ("temp_air",))

@@ -79,7 +79,7 @@ def both(one: Session, other: Session) -> Session:
     return replace(one, **rows, stamp=stamp, marker=marker, markers=(*one.markers, *other.markers))
 
 
-@pytest.mark.parametrize("poses", [12, 31])
+@pytest.mark.parametrize("poses", [12, pytest.param(31, marks=pytest.mark.long)])
 def test_over_many_sessions_the_error_at_other_poses_is_what_is_expected_of_ideal_gears(poses: int) -> None:
     ratios = []
     for seed in range(8):

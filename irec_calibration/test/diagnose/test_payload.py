@@ -65,6 +65,7 @@ def test_the_mass_of_a_tool_that_nobody_stated_is_found() -> None:
     assert any("no payload is stated" in note and "which is taken: state it" in note for note in shown().notes)
 
 
+@pytest.mark.long
 def test_where_it_sits_is_found_too_since_narrow_play_asks_for_it() -> None:
     """Ten centimetres of a head of 120 kg are 120 N m about the wrist, and this play is crossed within 10."""
     head = Payload(120.0, (0.1, -0.08, -0.1))

@@ -37,7 +37,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from irec_msgs.action import RunProcedure
-from irec_msgs.msg import CorrectionState, RobotState
+from irec_msgs.msg import CorrectionState, ProcedureStatus, RobotState
 from irec_msgs.srv import PutInForce, Recalibrate, SolveCompliances
 
 if TYPE_CHECKING:
@@ -64,13 +64,18 @@ class Operator:
         self.feedback: list[RunProcedure.Feedback] = []
         self.handle: Any = None  # of the run that was started last
         self.robot: RobotState | None = None
+        self.measures = False  # a run of the procedure is under way
         self.seen = SeenBy.of_action(self.node, "irec/run_procedure")
         self.p_tcp = np.full(3, np.nan)
         self.node.create_subscription(RobotState, "robot/state", self._on_state, 10)
         self.node.create_subscription(PoseStamped, "tcp_pose", self._on_tcp, 1)
+        self.node.create_subscription(ProcedureStatus, "irec/procedure/status", self._on_status, 10)
 
     def _on_state(self, message: RobotState) -> None:
         self.robot = message
+
+    def _on_status(self, message: ProcedureStatus) -> None:
+        self.measures = bool(message.session_path)
 
     def _on_tcp(self, message: PoseStamped) -> None:
         p = message.pose.position
@@ -124,6 +129,19 @@ class Operator:
         """Let the cell run faster, or slower: while a session is computed on, nothing that happens there is asked for."""
         speed = Parameter("speed_factor", value=speed_factor).to_parameter_msg()
         assert self.call(SetParameters, "cell/set_parameters", parameters=[speed]).results[0].successful
+
+    def recalibrate(self, **request: Any) -> Any:
+        """Answer of a recalibration; the cell is slow after each run of the procedure, as what follows needs the machine."""
+        client = self.node.create_client(Recalibrate, "irec/recalibrate")
+        self.until(client.service_is_ready)
+        self.until(SeenBy(self.node, "irec/recalibrate"))
+        future = client.call_async(Recalibrate.Request(**request))
+        while not future.done():
+            self.until(lambda: future.done() or self.measures)
+            self.pace(8.0)
+            self.until(lambda: future.done() or not self.measures)
+            self.pace(0.5)
+        return future.result()
 
 
 @pytest.fixture
@@ -200,7 +218,7 @@ def test_a_run_through_the_nodes_gives_a_session_that_can_be_solved(
     assert not refused.success and "correction_node: does not answer" in refused.verdict, "before anything has moved"
     operator.pace(8.0)
     request = {"operator_name": "M. Muster", "poses_path": str(poses), "dry_run": True}
-    short = operator.call(Recalibrate, "irec/recalibrate", **request)
+    short = operator.recalibrate(**request)
     assert short.success and not short.activated, short.verdict
     assert "failed: 2 poses were measured, at least 12 are needed" in short.verdict
     assert math.isnan(short.held_out_rms_old)
@@ -224,7 +242,7 @@ def test_a_recalibration_puts_a_better_model_in_force_and_keeps_the_old_one(
     start_process(node("irec_calibration.nodes.calibration_node", **arguments), name="calibration")
     correction = {"cell": CELL, "autostart": "true", "use_sim_time": "true", "rate": 50.0}  # it only has to take the model
     start_process(node("irec_correction.nodes.correction_node", **correction), name="correction")
-    answer = operator.call(Recalibrate, "irec/recalibrate", operator_name="M. Muster", poses_path=str(four))
+    answer = operator.recalibrate(operator_name="M. Muster", poses_path=str(four))
     assert answer.success and answer.activated, answer.verdict
     assert answer.previous_model_path == str(store.model_path(old.calibration))
     assert answer.held_out_rms_old > 3 * answer.held_out_rms_new > 0
