@@ -52,7 +52,7 @@ def forms_of(term: Term, scene: Scene) -> Forms:
     law = term.effect.family is Alike.TORQUE_LAW
     angles = axes if term.effect.turns_by_angle and scene.kind == "absolute" else none
     turns = axes if law and term.effect.by_angle else none
-    return Forms(axes if law else none, turns=turns, steps=steps(term, scene), angles=angles)
+    return Forms(axes if law and not term.effect.by_angle else none, turns=turns, steps=steps(term, scene), angles=angles)
 
 
 def _by_own_angle(structure: Structure) -> int | None:
