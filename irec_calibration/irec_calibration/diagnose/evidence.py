@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import erfcx, log_ndtr
 
 from ..identification.bounded import solve_bounded_gram
+from ..identification.triangles import inverse_of_triangles
 from ..identification.validation import RIDGE, floored, predicted_from_others
 from ..typing import Array, BoolArray, IntArray
 
@@ -178,7 +179,7 @@ def _of_same_held(
     if free.any():
         L = np.linalg.cholesky(H[:, free][:, :, free])
         total += 0.5 * np.log(precision[:, free]).sum(axis=1) - np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
-        inverse = np.linalg.inv(L)
+        inverse = inverse_of_triangles(L)
         sigma = np.sqrt((inverse**2).sum(axis=1))
         positive = half[:, free]
         if positive.any():

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from ..identification.bounded import solve_bounded_gram
+from ..identification.triangles import inverse_of_triangles
 from ..identification.validation import floored
 from ..typing import Array, IntArray
 from .evidence import Bench, Block, Posterior, Products, log_volume
@@ -59,7 +60,7 @@ class Ground:
 
     @cached_property
     def fitted(self) -> float:
-        inverse = np.linalg.inv(self._L)
+        inverse = inverse_of_triangles(self._L[None])[0]
         return len(inverse) - float(((inverse**2).sum(axis=0) * self._precision).sum())
 
     @property

@@ -18,6 +18,7 @@ from ..typing import Array, BoolArray, IntArray
 from .noise import Whitening
 from .observe import Observation
 from .system import linearise
+from .triangles import inverse_of_triangles
 
 ROUNDS = 8  # of reweighting
 TAIL_DOF = 4.0  # of the Student-t by which rows are weighted
@@ -191,7 +192,7 @@ def _predict(
     L = np.linalg.cholesky(H)
     x = np.linalg.solve(L.T, np.linalg.solve(L, flat.T @ bw.ravel()))
     rw = bw - Aw @ x
-    inverse = np.linalg.inv(L)
+    inverse = inverse_of_triangles(L[None])[0]
     made, z = [], np.empty(len(y))
     for stacked in blocks:
         s = stacked.shape[1]

@@ -6,13 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg.lapack import dtrtri
 from scipy.special import chdtri
 
 from ..session.data import Session
 from ..typing import Array, BoolArray, IntArray
+from .triangles import inverse_of_triangles
 
-SMALL = 20  # rows together up to which all are inverted at once
 FARTHEST_CLAIM = 3.0  # times what is seen: a claimed noise counts as no larger than that
 ENOUGH_TO_DOUBT = 30  # equations to spare from which it does not
 SMALLEST_SIGMA_M = 1e-7  # a session that states no noise at all is weighted uniformly
@@ -133,7 +132,7 @@ class Whitening:
         for groups in by_size.values():
             index = np.stack(groups)
             L = np.asarray(np.linalg.cholesky(self._covariance(index)), dtype=float)
-            blocks.append((index, _inverse(L), L))
+            blocks.append((index, inverse_of_triangles(L), L))
         object.__setattr__(self, "_blocks", blocks)
 
     def _covariance(self, index: IntArray) -> Array:
@@ -195,14 +194,6 @@ class Whitening:
         """Root mean square over samples of the norm of the noise of a row, m: sqrt(mean |r|^2) of a perfect model."""
         spared = 0.0 if self.wander is None else self.wander.spared
         return float(np.sqrt(3.0 * np.mean(self.sigma**2 + self.sigma_reference**2 - spared)))
-
-
-def _inverse(L: Array) -> Array:
-    """Inverses of lower triangles, (k, s, s)."""
-    # one by one by their triangle takes a third of the time for large ones, and ten times as long for small ones
-    if L.shape[1] <= SMALL:
-        return np.asarray(np.linalg.inv(L))
-    return np.stack([dtrtri(one.T, lower=0)[0].T for one in L])
 
 
 @dataclass(frozen=True)
