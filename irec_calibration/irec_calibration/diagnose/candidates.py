@@ -15,8 +15,10 @@ from ..effects import Effect, Parameter, known_effects
 from ..effects.scene import Scene
 from ..errors import EffectError, SolveError
 from ..typing import Array, BoolArray
+from .columns import beside_springs, block_columns
 from .evidence import Block, Posterior
 from .ground import Ground
+from .places import Places, places_of
 from .priors import FACTORS
 from .study import Study
 
@@ -65,11 +67,15 @@ class Table:
 
     Attributes:
         parameters: of each column; groups: names of the parts that show.
+        place: group that is at its place (`Parameter.shapes`) here, and without which nothing is asked of this table; in a table
+            without one, empty, no such group shows. log_prior: of that place.
     """
 
     shape: dict[str, float]
     block: Block
     parameters: tuple[Parameter, ...]
+    place: str = ""
+    log_prior: float = 0.0
 
     @cached_property
     def gram(self) -> Array:
@@ -99,18 +105,30 @@ class Option:
 
     Attributes:
         by_springs: what it does goes with springs, which the start of an absolute session has none of: asked anew of each model.
+        places: of groups that have one.
     """
 
     effect: Effect
     tables: tuple[Table, ...]
     by_springs: bool = False
+    places: tuple[Places, ...] = ()
+
+    def placed(self, ground: Ground) -> tuple[Table, ...]:
+        """The tables, with those of groups that have a place where it is best on a ground."""
+        more = []
+        for of in self.places:
+            place, log_prior = of.best(ground)
+            for table in self.tables:
+                block, parameters = block_columns(of.study, self.effect, table.shape | place)
+                more.append(Table(table.shape | place, block, tuple(parameters), of.group, log_prior))
+        return *self.tables, *more
 
     def on(self, study: Study) -> Option:
         """The same on top of a model; without tables where it moves nothing there."""
         if not self.by_springs:
             return self
         found, _ = options(study, [self.effect])
-        return replace(self, tables=found[0].tables if found else ())
+        return replace(self, tables=found[0].tables, places=found[0].places) if found else replace(self, tables=(), places=())
 
 
 def options(
@@ -126,41 +144,29 @@ def options(
             continue
         why = study.why_not(effect)
         try:
-            tables = () if why else tuple(Table(s, b, tuple(p)) for s, b, p in _parts(study, effect))
+            tables = () if why else tuple(_tables(study, effect))
+            places = () if why else places_of(study, effect)
         except (EffectError, SolveError) as error:
-            tables, why = (), str(error)
+            tables, places, why = (), (), str(error)
         tables = tuple(t for t in tables if t.groups)
         by_springs = study.ready.kind == "absolute" and effect.loads_arm and not why
         if tables or by_springs:
-            found.append(Option(effect, tables, by_springs))
+            found.append(Option(effect, tables, by_springs, places))
         else:
             skipped[effect.id] = why or "it moves nothing in this session"
     return found, skipped
 
 
-def _parts(study: Study, effect: Effect) -> Iterator[tuple[dict[str, float], Block, list[Parameter]]]:
-    """All columns of an effect for each choice of its shape values: shape, block, parameters."""
-    shaped = [p for p in effect.parameters(study.ready) if p.grid]
+def _tables(study: Study, effect: Effect) -> Iterator[Table]:
+    """All columns of an effect for each choice of its shape values, none of groups that have a place of their own or refine."""
+    own = effect.parameters(study.ready)
+    shaped, left = [p for p in own if p.grid and not p.shapes], {p.shapes or p.group for p in own if p.shapes or p.refines}
     for values in product(*(p.grid for p in shaped)):
         shape = {p.name: v for p, v in zip(shaped, values, strict=True)}
-        yield shape, *block_columns(study, effect, shape)
-
-
-def block_columns(study: Study, effect: Effect, shape: dict[str, float]) -> tuple[Block, list[Parameter]]:
-    """All columns of an effect at given values of its shape, and the parameter of each."""
-    parameters = effect.parameters(study.ready)
-    free = [i for i, p in enumerate(parameters) if not p.grid]
-    theta = np.array([shape.get(p.name, 0.0) for p in parameters])
-    chosen = [parameters[i] for i in free]
-    scale = np.array([p.scale for p in chosen])
-    A = _beside_springs(study, study.columns(study.regressor(effect, theta)[:, :, free] * scale), chosen)
-    reached = effect.reached(study.ready, theta)
-    if reached is not None:
-        A[:, ~reached[free]] = 0.0
-    width = np.array([p.prior_width for p in chosen])
-    lower = np.array([p.lower for p in chosen]) / scale
-    upper = np.array([p.upper for p in chosen]) / scale
-    return Block(A, lower, upper, width), chosen
+        block, parameters = block_columns(study, effect, shape)
+        if left:
+            block.A[:, [p.group in left for p in parameters]] = 0.0
+        yield Table(shape, block, tuple(parameters))
 
 
 def block_at(study: Study, variant: Variant, shape: dict[str, float]) -> Block:
@@ -169,22 +175,7 @@ def block_at(study: Study, variant: Variant, shape: dict[str, float]) -> Block:
     theta = np.array([shape.get(p.name, 0.0) for p in parameters])
     chosen = [i for i, p in enumerate(parameters) if p.name in variant.names]
     A = study.columns(study.regressor(variant.effect, theta)[:, :, chosen] * variant.scale)
-    return replace(variant.block, A=_beside_springs(study, A, [parameters[i] for i in chosen]))
-
-
-def _beside_springs(study: Study, A: Array, parameters: Sequence[Parameter]) -> Array:
-    """Columns of an effect where compliances from which it takes something away (`Parameter.takes_from`) grow by as much.
-
-    The prior of such a compliance is meant for the loaded axis, which is then as soft with the effect as without.
-    """
-    springs = {p.name: j for j, p in enumerate(study.parameters)}
-    out = A
-    for i, p in enumerate(parameters):
-        j = springs.get(p.takes_from)
-        if j is not None:
-            out = A.copy() if out is A else out
-            out[:, i] -= study.base.A[:, j] * (p.scale / study.scale[j])
-    return out
+    return replace(variant.block, A=beside_springs(study, A, [parameters[i] for i in chosen]))
 
 
 @dataclass(frozen=True)
@@ -207,21 +198,21 @@ _Set = tuple[int, tuple[str, ...]]  # place of a table, groups of it
 
 def try_option(ground: Ground, option: Option, scene: Scene) -> Trial:
     """Try an effect in all its variants on a ground."""
-    effect, alone = option.effect, ground.log_evidence
-    log_odds = effect.log_odds(scene)
-    reduced = ground.reduced_tables([t.block for t in option.tables], [t.gram for t in option.tables])
+    effect, alone, tables = option.effect, ground.log_evidence, option.placed(ground)
+    log_odds, shapes = effect.log_odds(scene), len(option.tables)
+    reduced = ground.reduced_tables([t.block for t in tables], [t.gram for t in tables])
 
     def variants(sets: Sequence[_Set]) -> list[_Tried]:
-        chosen = [(i, option.tables[i].columns(groups)) for i, groups in sets]
+        chosen = [(i, tables[i].columns(groups)) for i, groups in sets]
         out = []
         for (i, groups), (_, columns), posterior in zip(sets, chosen, ground.posteriors(reduced, chosen, FACTORS), strict=True):
-            of = len(option.tables[i].groups)
-            prior = log_odds + effect.log_odds_of(groups) - log(of * comb(of, len(groups)) * len(option.tables))
+            of = len(tables[i].groups)
+            prior = log_odds + effect.log_odds_of(groups) - log(of * comb(of, len(groups)) * shapes) + tables[i].log_prior
             out.append(_Tried(i, groups, columns, prior, posterior))
         return out
 
-    names = [t.groups for t in option.tables]
-    tried = variants([(i, (n,)) for i, of in enumerate(names) for n in of])
+    names = [t.groups for t in tables]
+    tried = variants([(i, (n,)) for i, of in enumerate(names) for n in of if tables[i].place in ("", n)])
     tried += _forward(variants, names, tried) + variants([(i, of) for i, of in enumerate(names) if len(of) > 1])
     posteriors = [t.posterior for t in tried]
     saved = ground.bench.saved_each(ground.chi2, np.array([p.chi2 for p in posteriors]))
@@ -229,13 +220,13 @@ def try_option(ground: Ground, option: Option, scene: Scene) -> Trial:
     score = np.array([alone + g + t.log_prior for g, t in zip(gained, tried, strict=True)])
     best = int(np.argmax(score))
     total = float(score[best] + np.log(np.exp(score - score[best]).sum()))
-    return Trial(effect, _variant(option, tried[best]), tried[best].posterior, total - alone)
+    return Trial(effect, _variant(tables[tried[best].table], effect, tried[best]), tried[best].posterior, total - alone)
 
 
-def _variant(option: Option, tried: _Tried) -> Variant:
-    table, chosen = option.tables[tried.table], [option.tables[tried.table].parameters[j] for j in tried.columns]
+def _variant(table: Table, effect: Effect, tried: _Tried) -> Variant:
+    chosen = [table.parameters[j] for j in tried.columns]
     return Variant(
-        option.effect, tried.groups, table.shape, tuple(p.name for p in chosen), np.array([p.scale for p in chosen]),
+        effect, tried.groups, table.shape, tuple(p.name for p in chosen), np.array([p.scale for p in chosen]),
         table.block.take(tried.columns).widened(tried.posterior.factor), tried.log_prior,
     )  # fmt: skip
 
@@ -265,7 +256,7 @@ def _forward(
     for one in singles:
         if one.table not in best or one.score > best[one.table].score:
             best[one.table] = one
-    going = [i for i, of in enumerate(names) if len(of) > 2]
+    going = [i for i in best if len(names[i]) > 2]
     for step in range(FORWARD_STEPS):
         sets: list[_Set] = [
             (i, tuple(n for n in names[i] if n in best[i].groups or n == extra))

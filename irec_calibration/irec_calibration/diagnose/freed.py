@@ -38,7 +38,7 @@ class Freed:
         self._freed = tuple(t.whole(p) if a else t for t, p, a in zip(study.terms, own, asked, strict=True))
         self._shapes = [
             (i, p.name) for i, t in enumerate(self._freed) if asked[i] for p in own[i]
-            if p.grid and not p.kinds and p.name in t.estimates and t.estimates[p.name].value > 0.0
+            if p.grid and not p.kinds and not p.shapes and p.name in t.estimates and t.estimates[p.name].value > 0.0
         ]  # fmt: skip
         A = self.columns(study.observation)
         G = A.T @ A

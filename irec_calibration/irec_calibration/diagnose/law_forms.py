@@ -19,7 +19,7 @@ import numpy as np
 from ..effects.formula import FormulaEffect, size_of_load
 from ..effects.scene import Scene
 from ..typing import Array, BoolArray
-from .candidates import block_columns
+from .columns import block_columns
 from .directions import TYPICAL_DISPLACEMENT
 from .evidence import Block
 from .family import Family, Structure

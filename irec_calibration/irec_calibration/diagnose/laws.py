@@ -25,7 +25,7 @@ from ..model import Term, displacements
 from ..session.data import Session
 from ..typing import Array, IntArray
 from .assessment import Assessment
-from .candidates import block_columns
+from .columns import block_columns
 from .directions import follows_course
 from .evidence import Bench, Block
 from .held_out import Validated, validated

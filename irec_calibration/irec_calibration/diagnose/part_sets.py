@@ -12,9 +12,11 @@ import numpy as np
 
 from ..effects import Effect
 from ..model import Estimate, Term
-from .candidates import SMALLEST_COLUMN, block_columns, supported
+from .candidates import SMALLEST_COLUMN, supported
+from .columns import block_columns
 from .evidence import Block, Posterior
 from .ground import Ground
+from .places import places_of
 from .priors import FACTORS
 from .settings import SETTINGS
 from .study import Study
@@ -49,7 +51,12 @@ class PartSets:
         self.rest, self.effect = rest, effect
         self.ground = Ground(rest.bench, rest.base if beside is None else rest.base + beside)
         self.alone = Posterior(np.zeros(0), self.ground.chi2, self.ground.log_evidence)
-        self.tables = [(s, *block_columns(rest, effect, s)) for s in _shapes(rest, effect, fitted)]
+        places = {of.group: of.best(self.ground) for of in places_of(rest, effect)}
+        self._of_place = {group: log_prior for group, (_, log_prior) in places.items()}
+        found = {name: v for place, _ in places.values() for name, v in place.items()}
+        known = [fitted] if found.keys() <= fitted.keys() else []
+        shapes = [s for values in (*known, fitted | found) for s in _shapes(rest, effect, values)]
+        self.tables = [(s, *block_columns(rest, effect, s)) for s in ({tuple(s.items()): s for s in shapes}).values()]
         self._reduced = self.ground.reduced_tables([block for _, block, _ in self.tables])
         self._shows = [np.linalg.norm(block.A, axis=0) > SMALLEST_COLUMN for _, block, _ in self.tables]
         shown = [
@@ -73,14 +80,14 @@ class PartSets:
         """Score, posterior and number of the shape of a set, at the shape that suits it best."""
         if names not in self._known:
             best: tuple[float, Posterior, int] = (self.alone.log_evidence, self.alone, 0)
-            tried = False
+            tried, prior = False, sum(self._of_place.get(n, 0.0) for n in names)
             columns = {i: self.columns(names, i) for i in range(len(self.tables)) if names}
             columns = {i: chosen for i, chosen in columns.items() if chosen}
             posteriors = self.ground.posteriors(self._reduced, list(columns.items()), FACTORS)
             for i, found in zip(columns, posteriors, strict=True):
                 saved = self.rest.bench.saved(self.alone.chi2, found.chi2)
                 gained = supported(found.log_evidence - self.alone.log_evidence, saved)
-                score = self.alone.log_evidence + gained - log(comb(len(self.names), len(names)))
+                score = self.alone.log_evidence + gained - log(comb(len(self.names), len(names))) + prior
                 if not tried or score > best[0]:
                     best, tried = (score, found, i), True
             self._known[names] = best
@@ -167,10 +174,12 @@ class PartSets:
         """The effect with these parts, with the values of the linearised fit."""
         _, posterior, i = self.fit(names)
         shape, block, parameters = self.tables[i]
+        own = self.effect.parameters(self.rest.ready)
+        shape = {p.name: shape[p.name] for p in own if p.name in shape and p.shapes in ("", *names)}
         chosen = self.columns(names, i)
         value = dict(zip((parameters[c].name for c in chosen), posterior.x, strict=True))
         estimates = {}
-        for p in self.effect.parameters(self.rest.ready):
+        for p in own:
             if p.name in value or p.name in shape:
                 v = shape[p.name] if p.name in shape else float(value[p.name]) * p.scale
                 estimates[p.name] = Estimate(float(np.clip(v, p.lower, p.upper)), unit=p.unit, lower=p.lower, upper=p.upper)
@@ -188,10 +197,14 @@ def _alternatives(sets: Sequence[Names], proven: Sequence[str]) -> tuple[Names, 
 
 
 def _shapes(rest: Study, effect: Effect, fitted: dict[str, float]) -> list[dict[str, float]]:
-    """Shape values to score sets of parts at: the effect's grid, the fitted ones and some around these."""
+    """Shape values to score sets of parts at: the effect's grid, the fitted ones and some around these; of those that shape one
+    part only the fitted ones."""
     shaped = [p for p in effect.parameters(rest.ready) if p.grid]
     values = []
     for p in shaped:
+        if p.shapes:  # known for this ground
+            values.append([fitted[p.name]])
+            continue
         found = {*p.grid, fitted[p.name]} if p.name in fitted else set(p.grid)
         if min(found) > 0.0 and p.name in fitted:
             found |= {float(v) for v in np.clip(fitted[p.name] * REFINED, p.lower, p.upper)}

@@ -20,7 +20,8 @@ from ..errors import SolveError
 from ..identification.validation import gain
 from ..model import Term
 from ..typing import Json
-from .candidates import SMALLEST_COLUMN, block_columns
+from .candidates import SMALLEST_COLUMN
+from .columns import block_columns
 from .evidence import Block
 from .family import Family
 from .ground import Ground

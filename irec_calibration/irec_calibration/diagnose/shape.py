@@ -12,7 +12,8 @@ from scipy.optimize import minimize_scalar
 from ..effects import Axes, Parameter
 from ..errors import SolveError
 from ..model import Estimate, Term
-from .candidates import Trial, block_at, block_columns
+from .candidates import Trial, block_at
+from .columns import block_columns
 from .ground import Ground
 from .study import Study, study_of
 

@@ -298,7 +298,12 @@ def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidat
         if one is not None and not one.plausible:
             why = implausible(assessment.built.final, i)
             out.append(f"Check {_label(i)} before using it{': ' + why if why else ''}.")
-        out += _parts_in_words(_label(i), assessment.parts.get(i), alone=len(assessment.names) == 1)
+        found = assessment.parts.get(i)
+        term = next((t for t in shown.after.study.terms if t.effect.id == i), None)
+        if term is not None and found is not None:
+            where = term.effect.where_to_look({n: e.value for n, e in term.estimates.items()}, found.proven)
+            out += [where] if where else []
+        out += _parts_in_words(_label(i), found, alone=len(assessment.names) == 1)
     return out
 
 

@@ -42,6 +42,8 @@ class Parameter:
         group: parameters that may be present on their own, e.g. `axis 3`; empty: only together with the others.
         grid: for a parameter that enters nonlinearly: values over which it is profiled. Empty: linear.
         kinds: the values of the grid are kinds, and nothing lies between them.
+        shapes: group whose parameters alone depend on the grid value; empty: all of the effect do.
+        refines: it comes in beside other parts of the effect only, and is no evidence that the effect is there.
         flat: only the session says anything about it (no prior, and a fit starts from its present value).
         width: standard deviation of the prior about 0, in multiples of `scale`.
         axis: joint that the parameter belongs to, counted from 0; None: to none.
@@ -65,6 +67,8 @@ class Parameter:
     group: str = ""
     grid: tuple[float, ...] = ()
     kinds: bool = False
+    shapes: str = ""
+    refines: bool = False
     flat: bool = False
     width: float = 1.0
     axis: int | None = None
@@ -244,6 +248,14 @@ class Effect(ABC):
         """
         return False
 
+    def where_to_look(self, values: Mapping[str, float], proven: Sequence[str]) -> str:
+        """What its values say to somebody who goes to look for it in the cell: a sentence; empty where they say nothing.
+
+        Args:
+            values: parameter -> fitted value; proven: groups of parameters that it surely has.
+        """
+        return ""
+
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         """Id of another effect that these values would be under another torque limit of the drives, where the robot description
         states none, that begins where they end, or that does the same to all that a session sees; else empty.
@@ -266,8 +278,8 @@ class Effect(ABC):
         return np.array([p.axis is not None and p.axis >= scene.wrist[0] for p in self.parameters(scene)], dtype=bool)
 
     def torque_of_pull(self, scene: Scene, theta: Array) -> Array:
-        """For `loads_arm`: torque about the actuated axes, (n, k), N m, that laws of gears answer to too, in proportion to theta
-        and the same whatever the load; none where an effect does not say."""
+        """For `loads_arm`: torque about the actuated axes, (n, k), N m, that laws of gears answer to too, in proportion to the
+        parameters without a grid and the same whatever the load; none where an effect does not say."""
         return np.zeros((len(scene), scene.n_joints))
 
     def placed(self, session: Session, values: dict[str, float]) -> Json:

@@ -96,7 +96,10 @@ class BaseCompliance(Effect):
             *(Parameter(f"r_{a}", "rad/(N m)", scale, lower=0.0, plausible=(0.0, limit), group="rotation") for a in AXES),
             Parameter("r_xy", "rad/(N m)", scale, plausible=(-limit, limit), group="rotation"),
             *(
-                Parameter(f"tr_{t}{r}", "m/(N m)", PLACE * scale, plausible=(-far, far), group="place of tilting")
+                Parameter(
+                    f"tr_{t}{r}", "m/(N m)", PLACE * scale, plausible=(-far, far), group="place of tilting",
+                    refines=scene.kind == "absolute",  # under the weight alone much else passes for it
+                )
                 for t, r in COUPLED
             ),
         )
@@ -116,6 +119,17 @@ class BaseCompliance(Effect):
             *(Ageing(f"t_{a}", slides.format(a), 1e9 * LOOSE_TRANSLATION, LOOSE_TRANSLATION, "loose", LOOK) for a in AXES),
             *(Ageing(f"r_{a}", tilts.format(a), 1e6 * LOOSE_ROTATION, LOOSE_ROTATION, "loose", LOOK) for a in AXES),
         )
+
+    def where_to_look(self, values: Mapping[str, float], proven: Sequence[str]) -> str:
+        soft = max(values.get("r_x", 0.0), values.get("r_y", 0.0))
+        if not {"rotation", "place of tilting"} <= {*proven} or soft <= 0.0:
+            return ""
+        v = {name: values.get(name, 0.0) / soft for name in ("tr_zy", "tr_xy", "tr_zx", "tr_yx")}
+        if values.get("r_y", 0.0) == soft:  # about (x, z): a tilt of one moves base_link by -z along x and by x along z
+            about, at = "y", f"x = {v['tr_zy']:.2f} m, z = {-v['tr_xy']:.2f} m"
+        else:
+            about, at = "x", f"y = {-v['tr_zx']:.2f} m, z = {v['tr_yx']:.2f} m"
+        return f"It tilts most about {about}, about a line near {at} in base_link: look at the bolts and what it stands on there."
 
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         return share <= USUAL_SHARE

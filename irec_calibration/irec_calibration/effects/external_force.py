@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from ..typing import Array
 from .base import Effect, Parameter
+from .hoses import drawn, forearm, has_pack, to_place, turning, turning_in_tool, wrenches, wrist_centre
 from .live import LiveForm, Pull, Tick
 from .scales import typical_reach
 from .scene import Scene
@@ -18,6 +19,9 @@ from .traits import Family
 
 AXES = ("x", "y", "z")
 FOREARM = ("along", "a", "b")  # along the axis of the joint that moves the forearm, and along its two virtual axes
+PLACE = "with one tension towards a place"  # as a spring balancer pulls, a hose that is drawn in, or one that hangs
+PLACES = (-0.5, 0.0, 0.5)  # of the reach in each direction, about a place half of it above base_link
+FARTHEST = 1.0  # likewise; from farther away a pull is as good as constant
 AT_FLANGE = 0.15  # m from the TCP; about where a head carries its hoses
 # standard errors, and share of it, up to which a force has no component across gravity
 ACROSS, ACROSS_SHARE = 3.0, 0.1
@@ -30,7 +34,8 @@ class ExternalForce(Effect):
     physics = (
         "Dress pack, hoses and cables pull at the tool with a force that the sensor does not see and that is not the same "
         "at the reference and under load: J C J^T f_0. Parts of the family: constant in base_link or in tool0; drawn towards a "
-        "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); both of these at the wrist, "
+        "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); drawn towards a place h with one "
+        "tension t, as by a spring balancer, at the TCP or (t_wrist) at the wrist; the first two of these at the wrist, "
         "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
         "wrist axis, or with the first where it comes from the cell; along axes of tool0, turning with a wrist axis, where it is "
         "fixed to a link of the wrist; between forearm and flange, where a dress pack that is fixed to both pulls them together "
@@ -61,7 +66,7 @@ class ExternalForce(Effect):
             *(pull(f"f_{a}", "constant") for a in AXES),
             *(pull(f"f_{a}_tool", "with the tool") for a in AXES),
             stiffness("k", "towards a point"),
-            *(pull(f"f_{a}_{t}{k + 1}", f"with axis {k + 1}") for k in _turning(scene) for t in ("sin", "cos") for a in AXES),
+            *(pull(f"f_{a}_{t}{k + 1}", f"with axis {k + 1}") for k in turning(scene) for t in ("sin", "cos") for a in AXES),
             *(pull(f"f_{d}_forearm", "with the forearm") for d in FOREARM),
             *(
                 Parameter(f"m_{a}_tool", "N m", 20.0 * AT_FLANGE, plausible=(-largest, largest), group="beside the TCP")
@@ -71,11 +76,12 @@ class ExternalForce(Effect):
             stiffness("k_wrist", "at the wrist towards a point"),
             *(
                 pull(f"f_{a}_tool_{t}{k + 1}", f"with the tool and axis {k + 1}")
-                for k in _turning_in_tool(scene)
+                for k in turning_in_tool(scene)
                 for t in ("sin", "cos")
                 for a in AXES
             ),
-            *(pull(f"f_{d}_pack", "between forearm and flange") for d in FOREARM if _has_pack(scene)),
+            *(pull(f"f_{d}_pack", "between forearm and flange") for d in FOREARM if has_pack(scene)),
+            *(_towards_a_place(scene) if scene.kind == "loaded" else ()),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
@@ -86,9 +92,10 @@ class ExternalForce(Effect):
     def regressor(self, scene: Scene, theta: Array) -> Array:
         if scene.elastic is None:
             return np.zeros((len(scene), 3, len(self.parameters(scene))))
-        on_arm, pack = _wrenches(scene)
-        out = scene.elastic.compliance @ on_arm
-        return out if scene.elastic.of_wrist is None else np.concatenate([out, scene.elastic.of_wrist @ pack], axis=2)
+        on_arm, pack = wrenches(scene)
+        of_pack = np.zeros((len(scene), 3, pack.shape[2])) if scene.elastic.of_wrist is None else scene.elastic.of_wrist @ pack
+        by_place = scene.elastic.compliance @ to_place(scene, theta[on_arm.shape[2] + pack.shape[2] :])
+        return np.concatenate([scene.elastic.compliance @ on_arm, of_pack, by_place], axis=2)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         found = _weight_of_another_mass(values, scene)
@@ -110,6 +117,19 @@ class ExternalForce(Effect):
         carried = float(scene.arm.robot.moved_masses.sum()) + (scene.gravity.payload.mass if scene.gravity.payload else 0.0)
         return found is not None and abs(found[1]) <= USUAL_MASS * carried
 
+    def where_to_look(self, values: Mapping[str, float], proven: Sequence[str]) -> str:
+        look = "in base_link: look what hangs or is fixed there."
+        constant, k = np.array([values.get(f"f_{a}", 0.0) for a in AXES]), values.get("k", 0.0)
+        if PLACE in proven:
+            tension, at = values.get("t", 0.0) + values.get("t_wrist", 0.0), [values.get(f"h_{a}", 0.0) for a in AXES]
+            return f"It pulls with some {_about(tension)} N towards about ({_point(at)}) m {look}"
+        if {*proven} == {"constant", "towards a point"} and k > 0.0:
+            return f"It pulls as a spring of some {_about(k)} N/m towards about ({_point(constant / k)}) m {look}"
+        size = float(np.linalg.norm(constant))
+        if {*proven} == {"constant"} and size > 0.0:
+            return f"It pulls with some {_about(size)} N along ({_point(constant / size)}) in base_link."
+        return ""
+
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
         on_arm, pack = _by_values(scene, theta)
         out: Array = np.einsum("nij...,nj->ni...", change.compliance, on_arm)
@@ -123,6 +143,15 @@ class ExternalForce(Effect):
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Pull(theta, scene)
+
+
+def _about(value: float) -> str:
+    """Two digits of a value."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _point(p: Iterable[float]) -> str:
+    return ", ".join(f"{v:.1f}" for v in p)
 
 
 def _weight_of_another_mass(values: Mapping[str, tuple[float, float]], scene: Scene) -> tuple[float, float, bool] | None:
@@ -144,94 +173,51 @@ def _weight_of_another_mass(values: Mapping[str, tuple[float, float]], scene: Sc
     return along, along / max(g, 1e-9), constant is at_wrist
 
 
-def _wrenches(scene: Scene) -> tuple[Array, Array]:
-    """Wrench in tool0 by one of each parameter, N and N m: of those that pull at the arm, (n, 6, p), and of those that pull
-    between forearm and flange, which are the last, (n, 6, q); kept with the view, since fits ask thousands of times."""
-    rows, known = scene.view.kept.get("pulls", (None, None))
-    if rows is not scene.rows:
-        known = _wrenches_anew(scene)
-        scene.view.kept["pulls"] = scene.rows, known
-    on_arm, pack = known
-    return on_arm, pack
-
-
 def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
     """Wrench in tool0 by values of all parameters, (n, 6), on the arm, and between forearm and flange."""
-    on_arm, pack = _wrenches(scene)
-    return on_arm @ theta[: on_arm.shape[2]], pack @ theta[on_arm.shape[2] :]
+    on_arm, pack = wrenches(scene)
+    of_arm, end = on_arm.shape[2], on_arm.shape[2] + pack.shape[2]
+    tension = theta[end : end + 2]
+    out = on_arm @ theta[:of_arm]
+    if tension.any():
+        out += to_place(scene, theta[end:])[:, :, :2] @ tension
+    return out, pack @ theta[of_arm:end]
 
 
-def _wrenches_anew(scene: Scene) -> tuple[Array, Array]:
-    in_tool = np.swapaxes(scene.kin.R_tool, 1, 2)  # of each unit force in base_link
-    none, unit = np.zeros_like(in_tool), np.tile(np.eye(3), (len(scene), 1, 1))
-    by_wrist = [in_tool * t(scene.q[:, k])[:, None, None] for k in _turning(scene) for t in (np.sin, np.cos)]
-    k = _forearm(scene)
-    frame = np.concatenate([scene.kin.axis[:, k, :, None], np.swapaxes(scene.kin.virtual_axis[:, k], 1, 2)], axis=2)
-    p_wrist = scene.kin.origin[:, _wrist_centre(scene)]
-
-    def at(point: Array) -> Array:
-        """Of each unit force in base_link at a point, (n, 6, 3)."""
-        moments = in_tool @ np.stack([np.cross(point - scene.p_tcp, e) for e in np.eye(3)], axis=2)
-        return np.concatenate([in_tool, moments], axis=1)
-
-    force = [in_tool, unit, -in_tool @ scene.p_tcp[:, :, None], *by_wrist, in_tool @ frame]
-    wrist = at(p_wrist)
-    by_wrist_in_tool = [unit * t(scene.q[:, k])[:, None, None] for k in _turning_in_tool(scene) for t in (np.sin, np.cos)]
-    on_arm = [
-        *(np.concatenate([columns, np.zeros_like(columns)], axis=1) for columns in force),
-        np.concatenate([none, unit], axis=1),
-        wrist,
-        -wrist @ p_wrist[:, :, None],
-        *(np.concatenate([columns, none], axis=1) for columns in by_wrist_in_tool),
-    ]
-    pack = at(scene.kin.origin[:, -1]) @ frame if _has_pack(scene) else np.zeros((len(scene), 6, 0))
-    under_load = scene.rows.under_load[:, None, None]
-    return np.concatenate(on_arm, axis=2) * under_load, pack * under_load
-
-
-def _turning(scene: Scene) -> list[int]:
-    """Joints with whose angle a pull may change: those of the wrist and, in a loaded session, the first, where a hose comes from
-    the cell (in an absolute one an arm that swings about has too much else that goes with it)."""
-    wrist = scene.wrist
-    return wrist if scene.kind == "absolute" or wrist[0] == 0 or scene.kin.is_prismatic[0] else [0, *wrist]
-
-
-def _turning_in_tool(scene: Scene) -> list[int]:
-    """Joints of the wrist with whose angle a pull along axes of tool0 may change: what is fixed to a link of the wrist turns so.
-    A session without process shows too little beside the weight to tell it."""
-    return scene.wrist if scene.kind == "loaded" else []
-
-
-def _has_pack(scene: Scene) -> bool:
-    """Whether a pull between forearm and flange is looked for: a session without process shows too little beside the weight."""
-    return scene.kind == "loaded" and scene.wrist[0] > 0
-
-
-def _forearm(scene: Scene) -> int:
-    """The joint that moves the forearm, the last one before the wrist."""
-    return max(scene.wrist[0] - 1, 0)
-
-
-def _wrist_centre(scene: Scene) -> int:
-    """The joint whose origin is where the axes of a wrist meet."""
-    wrist = scene.wrist
-    return wrist[len(wrist) // 2]
+def _towards_a_place(scene: Scene) -> tuple[Parameter, ...]:
+    """Tensions at the TCP and at the wrist, and the place that both go towards."""
+    reach, weight = typical_reach(scene), float(np.linalg.norm(scene.gravity_in_base))
+    above = -0.5 * reach * scene.gravity_in_base / weight if weight else np.array([0.0, 0.0, 0.5 * reach])
+    return (
+        *(Parameter(n, "N", 20.0, 0.0, plausible=(0.0, 1000.0), group=PLACE) for n in ("t", "t_wrist")),
+        *(
+            Parameter(
+                f"h_{a}", "m", reach, float(c) - FARTHEST * reach, float(c) + FARTHEST * reach, start=float(c),
+                grid=tuple(float(c) + reach * p for p in PLACES), group=PLACE, shapes=PLACE,
+            )
+            for a, c in zip(AXES, above, strict=True)
+        ),
+    )  # fmt: skip
 
 
 class _Pull(Pull):
     def __init__(self, theta: Array, scene: Scene) -> None:
-        turning, self._turning_in_tool = _turning(scene), _turning_in_tool(scene)
+        self._turning, self._turning_in_tool = turning(scene), turning_in_tool(scene)
         self._constant, self._in_tool, self._k = theta[:3], theta[3:6], float(theta[6])
-        end = 7 + 6 * len(turning)
-        self._by_angle, self._turning = theta[7:end].reshape(-1, 3), turning
+        end = 7 + 6 * len(self._turning)
+        self._by_angle = theta[7:end].reshape(-1, 3)
         self._by_forearm, self._torque_in_tool = theta[end : end + 3], theta[end + 3 : end + 6]
         self._at_wrist, self._k_wrist = theta[end + 6 : end + 9], float(theta[end + 9])
         last = end + 10 + 6 * len(self._turning_in_tool)
-        self._by_angle_in_tool, self._pack = theta[end + 10 : last].reshape(-1, 3), theta[last:]
-        self._has_forearm, self._has_wrist = bool(self._by_forearm.any()), bool(self._at_wrist.any() or self._k_wrist)
+        pack = last + 3 * has_pack(scene)
+        self._by_angle_in_tool, self._pack = theta[end + 10 : last].reshape(-1, 3), theta[last:pack]
+        drawn = theta[pack:] if pack < len(theta) else np.zeros(5)
+        self._tension, self._tension_wrist, self._place = float(drawn[0]), float(drawn[1]), drawn[2:]
+        self._has_forearm = bool(self._by_forearm.any())
+        self._has_wrist = bool(self._at_wrist.any() or self._k_wrist or self._tension_wrist)
         self._has_pack = bool(self._pack.any())
-        joints = [_forearm(scene)] * (self._has_forearm or self._has_pack)
-        joints += [_wrist_centre(scene)] * self._has_wrist + [scene.n_joints - 1] * self._has_pack
+        joints = [forearm(scene)] * (self._has_forearm or self._has_pack)
+        joints += [wrist_centre(scene)] * self._has_wrist + [scene.n_joints - 1] * self._has_pack
         self.columns = tuple(f"joint_{k + 1}{side}" for k in joints for side in ("", "a", "b"))
         self._wrist = 3 * (self._has_forearm or self._has_pack)  # where its columns begin
         if self._has_pack:
@@ -240,6 +226,8 @@ class _Pull(Pull):
     def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
         in_tool = self._in_tool + _waves(tick.q, self._turning_in_tool) @ self._by_angle_in_tool
         out: Array = self._constant + R_tool @ in_tool - self._k * p_tcp + _waves(tick.q, self._turning) @ self._by_angle
+        if self._tension:
+            out += drawn(self._tension, self._place, p_tcp)
         if self._has_forearm:
             out += tick.directions[:, :3] @ self._by_forearm
         if self._has_wrist:
@@ -259,7 +247,7 @@ class _Pull(Pull):
 
     def _pull_of_wrist(self, p_wrist: Array) -> Array:
         out: Array = self._at_wrist - self._k_wrist * p_wrist
-        return out
+        return out + drawn(self._tension_wrist, self._place, p_wrist) if self._tension_wrist else out
 
 
 def _where(tick: Tick, first: int) -> Array:

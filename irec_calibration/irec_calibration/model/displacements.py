@@ -188,7 +188,7 @@ def _with_laws(terms: Sequence[Term], ready: Scene, out: list[Array]) -> list[Ar
         free = term.free(parameters_of(term.effect, ready)) if term.effect.loads_arm else []
         more = plain.copy() if free else plain
         for law in laws if free else ():
-            change = _torque_of_pull(term.effect, ready)[:, :, free]
+            change = _torque_of_pull(term, ready)[:, :, free]
             said = law.effect.by_torque(ready, law.theta(parameters_of(law.effect, ready)), change, read=False)
             more[:, :, free] += _by_step(law, ready, change) if said is None else said
         found.append(more)
@@ -205,14 +205,17 @@ def _by_step(law: Term, ready: Scene, change: Array) -> Array:
     return out
 
 
-def _torque_of_pull(effect: Effect, scene: Scene) -> Array:
-    """Torque about the actuated axes by one of each parameter of what pulls at the arm, (n, k, p); kept with the view for the
-    next step of a fit."""
-    name = f"torque of {effect.id}"
+def _torque_of_pull(term: Term, scene: Scene) -> Array:
+    """Torque about the actuated axes by one of each parameter of what pulls at the arm, at its shape values, (n, k, p); kept with
+    the view for the next step of a fit."""
+    effect, own = term.effect, parameters_of(term.effect, scene)
+    shape = np.where([bool(p.grid) for p in own], term.theta(own), 0.0)
+    name, key = f"torque of {effect.id}", (effect, shape.tobytes())
     rows, of, known = scene.view.kept.get(name, (None,) * 3)
-    if rows is not scene.rows or of is not effect:
-        known = np.stack([effect.torque_of_pull(scene, one) for one in np.eye(len(parameters_of(effect, scene)))], axis=2)
-        scene.view.kept[name] = scene.rows, effect, known
+    if rows is not scene.rows or of != key:
+        unit = np.diag([0.0 if p.grid else 1.0 for p in own])
+        known = np.stack([effect.torque_of_pull(scene, shape + one) for one in unit], axis=2)
+        scene.view.kept[name] = scene.rows, key, known
     return np.asarray(known)
 
 

@@ -3,21 +3,24 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic
 from absolute_sessions import THREE_MARKERS, session, torsion
 from hypothesis import given
 from hypothesis import strategies as st
 from irec_calibration.diagnose import diagnose, start_terms
+from irec_calibration.diagnose.candidates import options
 from irec_calibration.diagnose.evidence import Bench, Block
 from irec_calibration.diagnose.explanation import Explanation, own_forms
 from irec_calibration.diagnose.ground import Ground
 from irec_calibration.diagnose.level import family_in_view
 from irec_calibration.diagnose.remainder import grow
 from irec_calibration.diagnose.study import prepare
-from irec_calibration.effects import find_effect
+from irec_calibration.effects import Effect, find_effect
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.model import Estimate, Term
 from irec_calibration.session import Noise, Session
@@ -36,6 +39,15 @@ def on_a_soft_pedestal(s: Session, p: Array) -> Array:
     effect = find_effect("base_compliance")
     scene = scene_of(s)
     theta = np.array([8e-6 * (q.name in ("r_x", "r_y")) for q in effect.parameters(scene)])  # 2 mrad under its own weight
+    return np.asarray(SOFT(s, p) + effect.regressor(scene, theta) @ theta)
+
+
+def on_a_pedestal_that_tips_about_an_edge(s: Session, p: Array) -> Array:
+    """Half a metre beside base_link: a moment about y lifts it, too."""
+    effect = find_effect("base_compliance")
+    scene = scene_of(s)
+    values = {"r_x": 2e-6, "r_y": 8e-6, "tr_zy": 4e-6, "t_z": 2e-6}
+    theta = np.array([values.get(q.name, 0.0) for q in effect.parameters(scene)])
     return np.asarray(SOFT(s, p) + effect.regressor(scene, theta) @ theta)
 
 
@@ -96,6 +108,27 @@ def test_a_reflector_that_is_seated_anew_stands_out_of_what_the_springs_leave() 
 def test_the_pedestal_of_a_light_robot_may_be_as_soft_as_that_robot_is_light() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=on_a_soft_pedestal)).verdict
     assert set(verdict.effects) == {"base_compliance", "joint_torsion"}, verdict.text
+
+
+def test_a_place_of_tilting_is_no_evidence_of_a_base_under_the_weight_alone() -> None:
+    base = find_effect("base_compliance")
+    sessions = {"absolute": session(poses=60, moved=SOFT), "loaded": synthetic.session(12)}
+    groups = {kind: _groups_tried(base, s) for kind, s in sessions.items()}
+    assert groups == {"absolute": {"translation", "rotation"}, "loaded": {"translation", "rotation", "place of tilting"}}
+
+
+def _groups_tried(effect: Effect, s: Session) -> set[str]:
+    (option,), _ = options(prepare(s, start_terms(s)), [effect])
+    return {n for table in option.tables for n in table.groups}
+
+
+def test_a_base_that_is_named_has_the_place_where_it_tilts() -> None:
+    verdict = diagnose(session(poses=80, noise=NOISE, moved=on_a_pedestal_that_tips_about_an_edge)).verdict
+    assert "base_compliance" in verdict.effects, verdict.text
+    assert {"rotation", "place of tilting"} <= set(verdict.parts["base_compliance"].proven), verdict.text
+    told = re.search(r"It tilts most about y, about a line near x = (-?[\d.]+) m, z = (-?[\d.]+) m in base_link", verdict.text)
+    assert told is not None, verdict.text
+    np.testing.assert_allclose([float(v) for v in told.groups()], [0.5, 0.0], atol=0.1)
 
 
 def test_what_the_instrument_reads_wrongly_is_told_by_where_it_looks_and_passes_for_no_error_of_joint_angles() -> None:

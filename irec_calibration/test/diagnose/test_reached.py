@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import start_terms
-from irec_calibration.diagnose.candidates import block_columns
+from irec_calibration.diagnose.columns import block_columns
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.effects import find_effect
 from irec_calibration.robot.ratings import rated_torque

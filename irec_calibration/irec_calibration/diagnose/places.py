@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shape values that one group of an effect alone depends on, such as the place that a hose pulls towards: moved to where the
+evidence is best, from the best place of their grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from math import log
+
+import numpy as np
+
+from ..effects import Effect, Parameter
+from .columns import block_columns
+from .evidence import Block
+from .ground import Ground
+from .priors import FACTORS
+from .study import Study
+
+STEPS = 6  # of Gauss-Newton
+HALVINGS = 3  # of a step after which the evidence is no better
+WIDTH = 0.5  # of the spacing of the grid: prior of a place about the nearest one of the grid
+WORTH_A_STEP = 0.1  # nats
+
+
+@dataclass(frozen=True)
+class Places:
+    """A group with its columns at each place of a grid: of one effect on one study."""
+
+    study: Study
+    effect: Effect
+    group: str
+    grid: tuple[dict[str, float], ...]
+    blocks: tuple[Block, ...]
+
+    def best(self, ground: Ground) -> tuple[dict[str, float], float]:
+        """The place with the best evidence on a ground, and the log prior of the group there: how likely a place is, and what
+        not knowing it better costs."""
+        reduced = ground.reduced_tables(self.blocks)
+        columns = range(self.blocks[0].A.shape[1])
+        found = ground.posteriors(reduced, [(i, columns) for i in range(len(self.blocks))], FACTORS)
+        i = int(np.argmax([f.log_evidence for f in found]))
+        shape, evidence, x, known = dict(self.grid[i]), found[i].log_evidence, found[i].x, 0.0
+        for _ in range(STEPS):
+            block, by_place = self._about(shape, x)
+            both = ground.posterior(block + by_place, FACTORS)
+            known = both.log_evidence - evidence
+            better = self._moved(ground, shape, both.x[len(x) :], evidence)
+            if better is None:
+                break
+            shape, gained, x = better
+            evidence += gained
+            known -= gained
+            if gained < WORTH_A_STEP:
+                break
+        return shape, min(known, 0.0) - log(len(self.grid))
+
+    def _moved(
+        self, ground: Ground, shape: dict[str, float], step: np.ndarray, evidence: float
+    ) -> tuple[dict[str, float], float, np.ndarray] | None:
+        """The place after a step, what the evidence gains and the values there; None where no share of the step is better."""
+        for share in 0.5 ** np.arange(HALVINGS):
+            there = {
+                p.name: float(np.clip(shape[p.name] + share * s * _spacing(p), p.lower, p.upper))
+                for p, s in zip(self._shaped, step, strict=True)
+            }
+            found = ground.posterior(self._columns(there), FACTORS)
+            if found.log_evidence > evidence:
+                return there, found.log_evidence - evidence, found.x
+        return None
+
+    @property
+    def _shaped(self) -> list[Parameter]:
+        return [p for p in self.effect.parameters(self.study.ready) if p.shapes == self.group]
+
+    def _columns(self, shape: dict[str, float]) -> Block:
+        return _of_group(self.study, self.effect, self.group, shape)
+
+    def _about(self, shape: dict[str, float], x: np.ndarray) -> tuple[Block, Block]:
+        """Columns of the group at a place, and by how the place moves, at values x."""
+        own = self.effect.parameters(self.study.ready)
+        mine = [i for i, p in enumerate(own) if p.group == self.group and not p.grid]
+        theta = np.array([shape.get(p.name, 0.0) for p in own])
+        theta[mine] = x * [own[i].scale for i in mine]
+        moved = [i for i, p in enumerate(own) if p.shapes == self.group]
+        A = self.study.columns(self.study.regressor(self.effect, theta)[:, :, moved] * [_spacing(own[i]) for i in moved])
+        n = len(moved)
+        return self._columns(shape), Block(A, np.full(n, -1.0), np.full(n, 1.0), np.full(n, WIDTH))
+
+
+def places_of(study: Study, effect: Effect) -> tuple[Places, ...]:
+    """Each group of an effect that has a place of its own."""
+    own = effect.parameters(study.ready)
+    out = []
+    for group in dict.fromkeys(p.shapes for p in own if p.shapes):
+        shaped = [p for p in own if p.shapes == group]
+        grid = [dict(zip((p.name for p in shaped), v, strict=True)) for v in product(*(p.grid for p in shaped))]
+        out.append(Places(study, effect, group, tuple(grid), tuple(_of_group(study, effect, group, g) for g in grid)))
+    return tuple(out)
+
+
+def _of_group(study: Study, effect: Effect, group: str, shape: dict[str, float]) -> Block:
+    block, parameters = block_columns(study, effect, shape)
+    return block.take([i for i, p in enumerate(parameters) if p.group == group])
+
+
+def _spacing(p: Parameter) -> float:
+    return float(np.diff(sorted(p.grid)).mean())

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A spring balancer pulls the tool with one tension towards the place where it hangs, whenever the process is on."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import diagnose, improve
+from irec_calibration.diagnose.columns import block_columns
+from irec_calibration.diagnose.ground import Ground
+from irec_calibration.diagnose.improve import Ladder
+from irec_calibration.diagnose.places import Places, places_of
+from irec_calibration.diagnose.study import Study, prepare
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.external_force import PLACE
+from irec_calibration.effects.of_session import scene_of
+from irec_calibration.effects.scene import Scene
+from irec_calibration.model import Estimate, Term, total_displacement
+from irec_calibration.typing import Array
+
+TENSION, HOOK = 120.0, np.array([0.9, -0.4, 2.6])  # N; m in base_link
+
+
+def pulled(scene: Scene) -> Array:
+    """What the springs of the synthetic robot make of the tension at the TCP, (n, 3), m."""
+    way = HOOK - scene.p_tcp
+    force = TENSION * way / np.linalg.norm(way, axis=1, keepdims=True) * (scene.load_case > 0)[:, None]
+    tau = np.einsum("nik,ni->nk", scene.kin.jacobian(scene.p_tcp), force)
+    return np.asarray(np.einsum("nik,nk->ni", scene.J, tau * synthetic.COMPLIANCE))
+
+
+def study() -> Study:
+    session = synthetic.session(poses=20, seed=3, extra=pulled)
+    return prepare(session, [Term(find_effect(e)) for e in ("joint_torsion", "link_bending")])
+
+
+def of_hose(at: Study) -> Places:
+    (found,) = places_of(at, find_effect("external_force"))
+    return found
+
+
+@cache
+def ladder() -> Ladder:
+    return improve(synthetic.session(poses=24, seed=3, extra=pulled))
+
+
+def test_the_form_is_one_tension_along_the_way_to_the_place() -> None:
+    scene = scene_of(synthetic.session(poses=6))
+    springs = Term(find_effect("joint_torsion"), {f"c_{k + 1}": Estimate(c) for k, c in enumerate(synthetic.COMPLIANCE)})
+    values = {"t": TENSION} | {f"h_{a}": h for a, h in zip("xyz", HOOK, strict=True)}
+    hose = Term(find_effect("external_force"), {n: Estimate(float(v)) for n, v in values.items()})
+    moved = total_displacement([springs, hose], scene) - total_displacement([springs], scene)
+    np.testing.assert_allclose(moved, pulled(scene), atol=1e-12)
+
+
+def test_the_place_is_found_between_those_of_the_grid() -> None:
+    at = study()
+    place, log_prior = of_hose(at).best(Ground(at.bench, at.base))
+    found = np.array([place[f"h_{a}"] for a in "xyz"])
+    assert np.linalg.norm(found - HOOK) < 0.25, found
+    assert log_prior < -np.log(len(of_hose(at).grid)), "what is found within a cell of the grid costs evidence too"
+
+
+def test_the_place_has_more_evidence_than_each_of_the_grid() -> None:
+    at, hose = study(), of_hose(study())
+    ground = Ground(at.bench, at.base)
+    place, _ = hose.best(ground)
+
+    def loss(shape: dict[str, float]) -> float:
+        block, parameters = block_columns(at, hose.effect, shape)
+        own = block.take([i for i, p in enumerate(parameters) if p.group == PLACE])
+        return ground.posterior(own, np.ones(1)).chi2
+
+    assert loss(place) < min(loss(shape) for shape in hose.grid)
+
+
+@pytest.mark.slow
+def test_it_is_named_with_its_tension_and_place_and_people_are_told_where_to_look() -> None:
+    verdict = ladder().before.verdict
+    assert verdict.effects == ("external_force",), verdict.text
+    assert PLACE in verdict.parts["external_force"].proven, verdict.text
+    assert "towards about (" in verdict.text and "look what hangs or is fixed there" in verdict.text
+
+
+@pytest.mark.slow
+def test_the_improved_model_has_the_tension_and_the_place_and_nothing_else_of_a_hose() -> None:
+    term = next(t for t in ladder().model.terms if t.effect.id == "external_force")
+    value = {n: e.value for n, e in term.estimates.items()}
+    assert set(value) == {"t", "t_wrist", "h_x", "h_y", "h_z"}
+    assert value["t"] + value["t_wrist"] == pytest.approx(TENSION, rel=0.2)
+    assert np.linalg.norm([value[f"h_{a}"] - h for a, h in zip("xyz", HOOK, strict=True)]) < 0.4
+
+
+@pytest.mark.slow
+def test_of_a_constant_pull_no_place_is_proven() -> None:
+    def constant(scene: Scene) -> Array:
+        force = np.array([40.0, -60.0, 90.0]) * (scene.load_case > 0)[:, None]
+        tau = np.einsum("nik,ni->nk", scene.kin.jacobian(scene.p_tcp), force)
+        return np.asarray(np.einsum("nik,nk->ni", scene.J, tau * synthetic.COMPLIANCE))
+
+    verdict = diagnose(synthetic.session(poses=24, seed=3, extra=constant)).verdict
+    assert verdict.effects == ("external_force",), verdict.text
+    assert PLACE not in verdict.parts["external_force"].proven, verdict.text
+    assert "look what hangs" not in verdict.text
+
+
+@pytest.mark.parametrize(
+    ("values", "proven", "told"),
+    [
+        (
+            {"t": 30.0, "t_wrist": 37.0, "h_x": 0.695, "h_y": 0.93, "h_z": 2.82},
+            (PLACE,),
+            "some 67 N towards about (0.7, 0.9, 2.8) m",
+        ),
+        (
+            {"t": 212.0, "h_x": 1.0, "h_y": 0.0, "h_z": 2.0},
+            ("with the tool", PLACE),
+            "some 210 N towards about (1.0, 0.0, 2.0) m",
+        ),
+        ({"f_x": 30.0, "f_y": 0.0, "f_z": -40.0}, ("constant",), "some 50 N along (0.6, 0.0, -0.8) in base_link"),
+        (
+            {"f_x": 30.0, "f_z": 60.0, "k": 30.0},
+            ("constant", "towards a point"),
+            "of some 30 N/m towards about (1.0, 0.0, 2.0) m",
+        ),
+        ({"f_x": 30.0, "f_x_tool": 20.0}, ("constant", "with the tool"), ""),
+        ({"t": 30.0, "h_x": 1.0, "h_y": 0.0, "h_z": 2.0}, (), ""),
+    ],
+)
+def test_where_to_look_is_told_of_what_is_proven(values: dict[str, float], proven: tuple[str, ...], told: str) -> None:
+    sentence = find_effect("external_force").where_to_look(values, proven)
+    assert told in sentence and bool(told) == bool(sentence), sentence
