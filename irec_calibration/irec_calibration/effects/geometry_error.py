@@ -20,6 +20,9 @@ from .traits import Cause, Family
 
 # Largest of robots after their geometric calibration, RMS over the parameters of a fit; chosen: twice what was found of such
 USUAL_M, USUAL_RAD = 0.6e-3, 0.6e-3
+# Largest that is physically likely: a zero of a lost mastering; a place or a tilt that shows in an absolute session, and ten times
+# what calibrations find of the worst robots where differences have to tell it, which much else does as well.
+ZERO, PLACE, TILT, PLACE_IN_DIFFERENCES, TILT_IN_DIFFERENCES = 0.1, 0.05, 0.05, 0.015, 0.012
 ORDER = [3, 0, 1, 2, 4, 5]  # of the parameters of a joint among translation, zero, tilts
 
 
@@ -43,22 +46,22 @@ class GeometryError(Effect):
         out = []
         base = scene.kind == "absolute"
         low, high = (-np.inf, np.inf) if base else (-0.5, 0.5)
+        place, tilt = (PLACE, TILT) if base else (PLACE_IN_DIFFERENCES, TILT_IN_DIFFERENCES)
         for k in range(scene.n_joints):
             group = f"axis {k + 1}"
             slides = bool(scene.kin.is_prismatic[k])
             unit = "m" if slides else "rad"
             out.append(
                 Parameter(
-                    f"zero_{k + 1}", unit, 1e-3, low, high, plausible=(-0.1, 0.1), group=group, flat=base, axis=k, first=True
+                    f"zero_{k + 1}", unit, 1e-3, low, high, plausible=(-ZERO, ZERO), group=group, flat=base, axis=k, first=True
                 )
             )
             for a in "xyz":
-                out.append(
-                    Parameter(f"{a}_{k + 1}", "m", 1e-3, low, high, plausible=(-0.05, 0.05), group=group, flat=base, axis=k)
-                )
+                name = f"{a}_{k + 1}"
+                out.append(Parameter(name, "m", 1e-3, low, high, plausible=(-place, place), group=group, flat=base, axis=k))
             for v in "ab":
                 name = f"tilt_{k + 1}{v}"
-                out.append(Parameter(name, "rad", 1e-3, low, high, plausible=(-0.05, 0.05), group=group, flat=base, axis=k))
+                out.append(Parameter(name, "rad", 1e-3, low, high, plausible=(-tilt, tilt), group=group, flat=base, axis=k))
         return tuple(out)
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
