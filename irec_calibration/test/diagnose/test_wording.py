@@ -22,7 +22,8 @@ def made(rows: list[int], sizes: list[float]) -> SimpleNamespace:
     residual = np.outer(sizes, (1.0, 0.0, 0.0))
     nan = float("nan")
     held_out = HeldOut(rms(residual), nan, nan, nan, np.arange(3), np.zeros(3), residual)
-    return SimpleNamespace(held_out=held_out, study=SimpleNamespace(observation=SimpleNamespace(rows=np.array(rows))))
+    study = SimpleNamespace(observation=SimpleNamespace(rows=np.array(rows)), terms=())
+    return SimpleNamespace(held_out=held_out, study=study)
 
 
 def missing(
