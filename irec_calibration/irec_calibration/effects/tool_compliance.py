@@ -16,6 +16,7 @@ from .traits import Family
 
 AXES = ("x", "y", "z")
 SOFTEST = 5e-6  # m/N, that is physically likely of the tool of a heavy robot
+USUAL_SHARE_OF_SAG = 0.005  # of what all springs give way by under the weight, RMS, of which a tool that is no cause has a part
 OVER_ARM = 3.0  # times the typical arm: a softer tool could not be guided
 PAIRS = ((0, 1), (0, 2), (1, 2))
 BACK = (0.0, 0.35, 0.7)  # of the way from tool0 to the last joint, where a tool may be soft; the best is refined
@@ -31,6 +32,7 @@ class ToolCompliance(Effect):
         "Missing, the residual is constant in the tool frame, proportional to the force and blind to the arm's pose."
     )
     family = Family.SPRING
+    usual_in = ("loaded", "absolute")
     elastic = True
     needs = ("load", "weight")
 
@@ -66,7 +68,7 @@ class ToolCompliance(Effect):
         return np.einsum("nij,njp->nip", scene.kin.R_tool, in_tool) * scene.moves_with_arm[:, None, None]
 
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
-        return share <= USUAL_SHARE
+        return share <= (USUAL_SHARE if scene.kind == "loaded" else USUAL_SHARE_OF_SAG)
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         entries = [(f"tool_{a}", f"tool_{a}", float(v)) for a, v in zip(AXES, theta[:3], strict=True)]
