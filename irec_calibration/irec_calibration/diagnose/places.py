@@ -11,6 +11,7 @@ from math import log
 import numpy as np
 
 from ..effects import Effect, Parameter
+from ..typing import Array
 from .columns import block_columns
 from .evidence import Block
 from .ground import Ground
@@ -56,8 +57,8 @@ class Places:
         return shape, min(known, 0.0) - log(len(self.grid))
 
     def _moved(
-        self, ground: Ground, shape: dict[str, float], step: np.ndarray, evidence: float
-    ) -> tuple[dict[str, float], float, np.ndarray] | None:
+        self, ground: Ground, shape: dict[str, float], step: Array, evidence: float
+    ) -> tuple[dict[str, float], float, Array] | None:
         """The place after a step, what the evidence gains and the values there; None where no share of the step is better."""
         for share in 0.5 ** np.arange(HALVINGS):
             there = {
@@ -76,7 +77,7 @@ class Places:
     def _columns(self, shape: dict[str, float]) -> Block:
         return _of_group(self.study, self.effect, self.group, shape)
 
-    def _about(self, shape: dict[str, float], x: np.ndarray) -> tuple[Block, Block]:
+    def _about(self, shape: dict[str, float], x: Array) -> tuple[Block, Block]:
         """Columns of the group at a place, and by how the place moves, at values x."""
         own = self.effect.parameters(self.study.ready)
         mine = [i for i, p in enumerate(own) if p.group == self.group and not p.grid]
