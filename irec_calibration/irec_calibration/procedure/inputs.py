@@ -9,12 +9,16 @@ has ended since. Freshness is watched by the state machine.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 
 from .axes import Axes
 from .standstill import Streams
 
 LARGEST_LAG = 2.0  # s between a stamp and the cell's clock; clocks that differ by more measure different moments
+# A simulated clock is heard by messages, and may be heard later than what a driver stamps by it: so far, and for so long of the
+# machine's clock, a stamp may be ahead
+FARTHEST_AHEAD, AHEAD_FOR = 60.0, 0.5  # s
 SAME_STAMP = 20  # readings with one stamp, after which the stamp is no measurement
 LARGEST_FORCE = 1e5  # N
 LARGEST_TORQUE = 1e5  # N m
@@ -42,6 +46,7 @@ class Inputs:
         self._begun = -math.inf  # cell's clock at which the run under way began
         self._last: dict[str, float] = {}
         self._same: dict[str, int] = {}
+        self._ahead: dict[str, float] = {}  # since when the stamps of a source are ahead, by the machine's clock
         self._repeated: dict[str, tuple[float, int, tuple[float, ...]]] = {}  # since when, how often, which values
         self._q: tuple[float, tuple[float, ...]] | None = None  # stamp and positions of the last joint states
         self._names: tuple[str, ...] | None = None  # of the last joint_states, and where in it each axis is
@@ -60,6 +65,7 @@ class Inputs:
         self.streams.clear()
         self._last.clear()
         self._same.clear()
+        self._ahead.clear()
         self._repeated.clear()
         self._q = None
 
@@ -79,11 +85,12 @@ class Inputs:
             return self._fault(source, "the stamp is 0; the driver has to stamp each reading with the time at which it was taken")
         lag = now - stamp
         if not abs(lag) <= LARGEST_LAG:
-            return self._fault(
-                source,
-                f"the stamp is {abs(lag):.1f} s {'behind' if lag > 0 else 'ahead of'} the clock, limit {LARGEST_LAG:g} s;"
-                " does the driver use this clock (use_sim_time, time synchronisation)?",
-            )
+            why = f"the stamp is {abs(lag):.1f} s {'behind' if lag > 0 else 'ahead of'} the clock, limit {LARGEST_LAG:g} s"
+            if self._may_be_late(source, -lag):
+                self.dropped[source] = f"{source}: {why}"
+                return False
+            return self._fault(source, f"{why}; does the driver use this clock (use_sim_time, time synchronisation)?")
+        self._ahead.pop(source, None)
         last = self._last.get(source, -math.inf)
         if stamp <= last and last - stamp < LARGEST_LAG:
             self._same[source] = self._same.get(source, 0) + 1
@@ -92,6 +99,13 @@ class Inputs:
             return False
         self._last[source], self._same[source] = stamp, 0
         return True
+
+    def _may_be_late(self, source: str, ahead: float) -> bool:
+        """Whether a stamp that is ahead, s, may only show that the clock is heard late."""
+        if not LARGEST_LAG < ahead <= FARTHEST_AHEAD:
+            return False
+        machine = time.monotonic()
+        return machine - self._ahead.setdefault(source, machine) < AHEAD_FOR
 
     def _moves(self, source: str, stamp: float, values: Sequence[float]) -> bool:
         """Whether the reading has changed lately; an instrument that repeats one to the last bit measures nothing."""

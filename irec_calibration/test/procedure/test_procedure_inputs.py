@@ -72,6 +72,24 @@ def test_a_wrong_message_is_refused_and_told_with_its_value(wrong: str) -> None:
     assert not i.streams.newest()
 
 
+def test_a_stamp_that_is_ahead_of_a_clock_which_is_heard_late_is_left_out_and_ends_no_run() -> None:
+    i = inputs()
+    assert not i.joints(NOW, NOW + 2.8, AXES.driver, Q)
+    assert not i.problem and "2.8 s ahead of the clock" in i.dropped["joint_states"]
+    assert i.joints(NOW + 2.7, NOW + 2.85, AXES.driver, Q)
+    assert not i.problem
+
+
+def test_stamps_that_stay_ahead_of_the_clock_are_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = iter((5.0, 5.3, 5.6))
+    monkeypatch.setattr("irec_calibration.procedure.inputs.time.monotonic", lambda: next(machine))
+    i = inputs()
+    for k in range(2):
+        assert not i.joints(NOW + k, NOW + k + 2.8, AXES.driver, Q) and not i.problem
+    assert not i.joints(NOW + 2.0, NOW + 4.8, AXES.driver, Q)
+    assert "joint_states: the stamp is 2.8 s ahead of the clock, limit 2 s; does the driver use this clock" in i.problem
+
+
 def test_a_fault_stays_until_the_next_run() -> None:
     i = inputs()
     i.wrench(NOW, NOW, "tool0", (0, math.nan, 0), NO)
