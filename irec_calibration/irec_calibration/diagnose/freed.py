@@ -36,7 +36,7 @@ class Freed:
         asked = [t.effect.id in effect_ids for t in study.terms]
         own = [parameters_of(t.effect, scene) for t in study.terms]
         self._freed = tuple(t.whole(p) if a else t for t, p, a in zip(study.terms, own, asked, strict=True))
-        self._shapes = [  # but places, which have no logarithm and are known far better than the grid they were found from
+        self._shapes = [  # but places, which have no logarithm
             (i, p.name) for i, t in enumerate(self._freed) if asked[i] for p in own[i]
             if p.grid and not p.kinds and not p.shapes and p.name in t.estimates and t.estimates[p.name].value > 0.0
         ]  # fmt: skip

@@ -301,7 +301,8 @@ def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidat
         found = assessment.parts.get(i)
         term = next((t for t in shown.after.study.terms if t.effect.id == i), None)
         if term is not None and found is not None:
-            where = term.effect.where_to_look({n: e.value for n, e in term.estimates.items()}, found.proven)
+            known = {n: e.value for n, e in term.estimates.items() if e.lower < e.value < e.upper}
+            where = term.effect.where_to_look(known, found.proven)
             out += [where] if where else []
         out += _parts_in_words(_label(i), found, alone=len(assessment.names) == 1)
     return out

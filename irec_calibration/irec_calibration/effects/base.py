@@ -252,7 +252,8 @@ class Effect(ABC):
         """What its values say to somebody who goes to look for it in the cell: a sentence; empty where they say nothing.
 
         Args:
-            values: parameter -> fitted value; proven: groups of parameters that it surely has.
+            values: parameter -> fitted value, without those that stand at a bound; proven: groups of parameters that it surely
+                has.
         """
         return ""
 

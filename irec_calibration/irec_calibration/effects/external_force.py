@@ -120,8 +120,11 @@ class ExternalForce(Effect):
     def where_to_look(self, values: Mapping[str, float], proven: Sequence[str]) -> str:
         look = "in base_link: look what hangs or is fixed there."
         constant, k = np.array([values.get(f"f_{a}", 0.0) for a in AXES]), values.get("k", 0.0)
+        at = [values[f"h_{a}"] for a in AXES if f"h_{a}" in values]
+        if PLACE in proven and len(at) < len(AXES):
+            return ""  # so far away that no place is known
         if PLACE in proven:
-            tension, at = values.get("t", 0.0) + values.get("t_wrist", 0.0), [values.get(f"h_{a}", 0.0) for a in AXES]
+            tension = values.get("t", 0.0) + values.get("t_wrist", 0.0)
             return f"It pulls with some {_about(tension)} N towards about ({_point(at)}) m {look}"
         if {*proven} == {"constant", "towards a point"} and k > 0.0:
             return f"It pulls as a spring of some {_about(k)} N/m towards about ({_point(constant / k)}) m {look}"
@@ -211,8 +214,8 @@ class _Pull(Pull):
         last = end + 10 + 6 * len(self._turning_in_tool)
         pack = last + 3 * has_pack(scene)
         self._by_angle_in_tool, self._pack = theta[end + 10 : last].reshape(-1, 3), theta[last:pack]
-        drawn = theta[pack:] if pack < len(theta) else np.zeros(5)
-        self._tension, self._tension_wrist, self._place = float(drawn[0]), float(drawn[1]), drawn[2:]
+        towards = theta[pack:] if pack < len(theta) else np.zeros(5)
+        self._tension, self._tension_wrist, self._place = float(towards[0]), float(towards[1]), towards[2:]
         self._has_forearm = bool(self._by_forearm.any())
         self._has_wrist = bool(self._at_wrist.any() or self._k_wrist or self._tension_wrist)
         self._has_pack = bool(self._pack.any())

@@ -20,8 +20,8 @@ from .traits import Cause, Family
 
 # Largest of robots after their geometric calibration, RMS over the parameters of a fit; chosen: twice what was found of such
 USUAL_M, USUAL_RAD = 0.6e-3, 0.6e-3
-# Largest that is physically likely: a zero of a lost mastering; a place or a tilt that shows in an absolute session, and ten
-# times what calibrations find of the worst robots where differences have to tell it, which much else does as well.
+# Largest that is physically likely: a zero of a lost mastering, rad or m; a place, m, and a tilt, rad, of an axis. Chosen smaller
+# where differences have to tell them, in a loaded session: larger ones were found there only where something else was missing.
 ZERO, PLACE, TILT, PLACE_IN_DIFFERENCES, TILT_IN_DIFFERENCES = 0.1, 0.05, 0.05, 0.015, 0.012
 ORDER = [3, 0, 1, 2, 4, 5]  # of the parameters of a joint among translation, zero, tilts
 

@@ -16,7 +16,7 @@ from .traits import Family
 
 AXES = ("x", "y", "z")
 SOFTEST = 5e-6  # m/N, that is physically likely of the tool of a heavy robot
-USUAL_SHARE_OF_SAG = 0.005  # of what all springs give way by under the weight, RMS, of which a tool that is no cause has a part
+USUAL_SHARE_OF_SAG = 0.005  # chosen: of what all springs give way by under the weight, RMS; a tool with less is no cause
 OVER_ARM = 3.0  # times the typical arm: a softer tool could not be guided
 PAIRS = ((0, 1), (0, 2), (1, 2))
 BACK = (0.0, 0.35, 0.7)  # of the way from tool0 to the last joint, where a tool may be soft; the best is refined

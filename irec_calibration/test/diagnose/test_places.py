@@ -13,6 +13,7 @@ from irec_calibration.diagnose.columns import block_columns
 from irec_calibration.diagnose.ground import Ground
 from irec_calibration.diagnose.improve import Ladder
 from irec_calibration.diagnose.places import Places, places_of
+from irec_calibration.diagnose.priors import FACTORS
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.external_force import PLACE
@@ -69,12 +70,12 @@ def test_the_place_has_more_evidence_than_each_of_the_grid() -> None:
     ground = Ground(at.bench, at.base)
     place, _ = hose.best(ground)
 
-    def loss(shape: dict[str, float]) -> float:
+    def evidence(shape: dict[str, float]) -> float:
         block, parameters = block_columns(at, hose.effect, shape)
         own = block.take([i for i, p in enumerate(parameters) if p.group == PLACE])
-        return ground.posterior(own, np.ones(1)).chi2
+        return ground.posterior(own, FACTORS).log_evidence
 
-    assert loss(place) < min(loss(shape) for shape in hose.grid)
+    assert evidence(place) > max(evidence(shape) for shape in hose.grid)
 
 
 @pytest.mark.slow
@@ -127,6 +128,7 @@ def test_of_a_constant_pull_no_place_is_proven() -> None:
             "of some 30 N/m towards about (1.0, 0.0, 2.0) m",
         ),
         ({"f_x": 30.0, "f_x_tool": 20.0}, ("constant", "with the tool"), ""),
+        ({"t": 30.0, "h_x": 1.0, "h_z": 2.0}, (PLACE,), ""),  # h_y stands at a bound
         ({"t": 30.0, "h_x": 1.0, "h_y": 0.0, "h_z": 2.0}, (), ""),
     ],
 )

@@ -207,6 +207,18 @@ def test_a_base_may_tilt_about_a_line_off_base_link(about: int, place: tuple[flo
     np.testing.assert_allclose(predicted, scene.change(tilted), atol=1e-12)
 
 
+@pytest.mark.parametrize("about", [0, 1])
+@pytest.mark.parametrize("place", [(0.0, 0.0, -0.8), (0.35, 0.0, 0.0), (0.0, -0.4, 0.0), (0.2, 0.3, -0.5)])
+def test_it_is_told_about_which_line_a_base_tilts(about: int, place: tuple[float, float, float]):
+    soft, moves = 4e-8, -np.cross(np.eye(3)[about], place)  # base_link by each rad
+    values = {f"r_{'xyz'[about]}": soft, f"r_{'yx'[about]}": 0.3 * soft}
+    values |= {f"tr_{t}{'xyz'[about]}": soft * moves[i] for i, t in enumerate("xyz")}
+    told = find_effect("base_compliance").where_to_look(values, ("rotation", "place of tilting"))
+    across, height = re.search(r"about [xy], about a line near [xy] = (-?[\d.]+) m, z = (-?[\d.]+) m", told).groups()
+    np.testing.assert_allclose((float(across), float(height)), (place[1 - about], place[2]), atol=1e-9)
+    assert f"tilts most about {'xy'[about]}, about a line near {'yx'[about]} =" in told
+
+
 def softest_likely(description: str) -> float:
     scene = scene_of(replace(session(5), robot=Robot(description)))
     (limit,) = (p.plausible[1] for p in find_effect("base_compliance").parameters(scene) if p.name == "r_x")
