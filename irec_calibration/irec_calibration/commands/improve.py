@@ -72,6 +72,7 @@ def in_words(ladder: Ladder) -> str:
         lines.append("(usual): of a size that every robot has; no cause to look for")
     if any(r.stands_in for r in ladder.rungs):
         lines.append("(no name): predicts structure that no effect can be named for; it is no diagnosis")
+    lines += [textwrap.fill(where, 100, subsequent_indent="  ") for where in ladder.before.verdict.where.values()]
     lines.append(f"stopped: {ladder.stopped}")
     lines += expected_in_words(ladder.model)
     if ladder.model.made.get("caution"):

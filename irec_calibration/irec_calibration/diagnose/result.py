@@ -71,6 +71,7 @@ class Verdict:
         confident: no effect is one of several.
         parts: of each named effect that acts in axes or directions: which of them the session proves. An axis that is not
             among the proven ones is not to be acted upon.
+        where: of named effects whose values say so, where to look for them in the cell: effect -> a sentence.
         too_few: `adequate` for want of poses or equations: nothing is said of the model.
     """
 
@@ -87,6 +88,7 @@ class Verdict:
     usual: tuple[str, ...] = ()
     hidden_m: float = 0.0
     parts: dict[str, Parts] = field(default_factory=dict)
+    where: dict[str, str] = field(default_factory=dict)
     too_few: bool = False
 
     @property
@@ -227,6 +229,7 @@ class Diagnosis:
                 "hidden_m": v.hidden_m,
                 **({"too_few": True} if v.too_few else {}),
                 "parts": parts_json(v.parts),
+                "where": v.where,
                 "cv_rms_after_m": self.cv_rms_after_m,
             },
             "candidates_estimator": TRIAL,

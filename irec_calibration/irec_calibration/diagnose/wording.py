@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -49,7 +49,7 @@ def verdict_of(
     """The verdict with its text."""
     study = assessment.built.start.study
     poses = len(study.bench.poses)
-    weight = assessment.weight_wrong
+    weight, where = assessment.weight_wrong, _where(assessment, shown)
     ids = [*assessment.names, *([READ_AT_REFERENCES.id] if weight else ())]
     parts = [
         f"The model leaves {length(comparison.rms_m)} ({length(shown.asked.held_out.rms_m)} on held-out poses);"
@@ -58,7 +58,7 @@ def verdict_of(
     if not np.any(np.abs(study.base.A) > 1e-6):
         parts.append("Nothing in this session loads the model: it can't identify anything.")
     if assessment.status == "missing_effect" and assessment.names:
-        parts += _missing(assessment, shown, candidates)
+        parts += _missing(assessment, shown, candidates, where)
     few = too_few(study.fit)
     if assessment.status == "adequate" and not few:
         more = " and what every robot has" if assessment.usual or assessment.usual_m else ""
@@ -125,6 +125,7 @@ def verdict_of(
         hidden_m=assessment.hidden_m,
         too_few=few and assessment.status == "adequate",
         parts={i: p for i, p in assessment.parts.items() if i in assessment.names},
+        where=where,
     )
 
 
@@ -290,7 +291,7 @@ def _rest(assessment: Assessment) -> list[str]:
     return out
 
 
-def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidate]) -> list[str]:
+def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidate], where: Mapping[str, str]) -> list[str]:
     labels = " and ".join(_label(i) + _in_brackets(assessment.parts.get(i)) for i in assessment.names)
     out = [f"Missing: {labels}. {_falls(assessment, shown)}"]
     for i in assessment.names:
@@ -298,13 +299,23 @@ def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidat
         if one is not None and not one.plausible:
             why = implausible(assessment.built.final, i)
             out.append(f"Check {_label(i)} before using it{': ' + why if why else ''}.")
-        found = assessment.parts.get(i)
-        term = next((t for t in shown.after.study.terms if t.effect.id == i), None)
-        if term is not None and found is not None:
-            known = {n: e.value for n, e in term.estimates.items() if e.lower < e.value < e.upper}
-            where = term.effect.where_to_look(known, found.proven)
-            out += [where] if where else []
-        out += _parts_in_words(_label(i), found, alone=len(assessment.names) == 1)
+        out += [where[i]] if i in where else []
+        out += _parts_in_words(_label(i), assessment.parts.get(i), alone=len(assessment.names) == 1)
+    return out
+
+
+def _where(assessment: Assessment, shown: Shown) -> dict[str, str]:
+    """Of each named effect whose values say so, where to look for it: a sentence."""
+    out = {}
+    for term in shown.after.study.terms:
+        effect, parts = term.effect, assessment.parts.get(term.effect.id)
+        if effect.id not in assessment.names or parts is None:
+            continue
+        known = {n: e.value for n, e in term.estimates.items() if e.lower < e.value < e.upper}
+        where = effect.where_to_look(known, parts.proven)
+        if where:
+            label = _label(effect.id)
+            out[effect.id] = f"{label[0].upper()}{label[1:]}: {where}."
     return out
 
 

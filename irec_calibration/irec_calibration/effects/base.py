@@ -249,7 +249,8 @@ class Effect(ABC):
         return False
 
     def where_to_look(self, values: Mapping[str, float], proven: Sequence[str]) -> str:
-        """What its values say to somebody who goes to look for it in the cell: a sentence; empty where they say nothing.
+        """What its values say to somebody who goes to look for it in the cell: a clause with "it" for the effect,
+        without a full stop; empty where they say nothing.
 
         Args:
             values: parameter -> fitted value, without those that stand at a bound; proven: groups of parameters that it surely

@@ -129,7 +129,7 @@ class BaseCompliance(Effect):
             about, at = "y", f"x = {v['tr_zy']:.2f} m, z = {-v['tr_xy']:.2f} m"
         else:
             about, at = "x", f"y = {-v['tr_zx']:.2f} m, z = {v['tr_yx']:.2f} m"
-        return f"It tilts most about {about}, about a line near {at} in base_link: look at the bolts and what it stands on there."
+        return f"it tilts most about {about}, about a line near {at} in base_link; look at the bolts and what it stands on there"
 
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         return share <= USUAL_SHARE

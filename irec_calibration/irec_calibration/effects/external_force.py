@@ -118,19 +118,19 @@ class ExternalForce(Effect):
         return found is not None and abs(found[1]) <= USUAL_MASS * carried
 
     def where_to_look(self, values: Mapping[str, float], proven: Sequence[str]) -> str:
-        look = "in base_link: look what hangs or is fixed there."
+        look = "in base_link; look what hangs or is fixed there"
         constant, k = np.array([values.get(f"f_{a}", 0.0) for a in AXES]), values.get("k", 0.0)
         at = [values[f"h_{a}"] for a in AXES if f"h_{a}" in values]
         if PLACE in proven and len(at) < len(AXES):
             return ""  # so far away that no place is known
         if PLACE in proven:
             tension = values.get("t", 0.0) + values.get("t_wrist", 0.0)
-            return f"It pulls with some {_about(tension)} N towards about ({_point(at)}) m {look}"
+            return f"it pulls with some {_about(tension)} N towards about ({_point(at)}) m {look}"
         if {*proven} == {"constant", "towards a point"} and k > 0.0:
-            return f"It pulls as a spring of some {_about(k)} N/m towards about ({_point(constant / k)}) m {look}"
+            return f"it pulls as a spring of some {_about(k)} N/m towards about ({_point(constant / k)}) m {look}"
         size = float(np.linalg.norm(constant))
         if {*proven} == {"constant"} and size > 0.0:
-            return f"It pulls with some {_about(size)} N along ({_point(constant / size)}) in base_link."
+            return f"it pulls with some {_about(size)} N along ({_point(constant / size)}) in base_link"
         return ""
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:

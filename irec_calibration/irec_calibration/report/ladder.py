@@ -73,6 +73,7 @@ def _verdict(ladder: Ladder) -> str:
         added = [_labels(named)] if named else []
         added += [f"what every robot has ({_labels(usual)})"] if usual else []
         said.append(f"Adding {' and '.join(added)} lowers the error on held-out poses {errors}.")
+    said += ladder.before.verdict.where.values()
     for r in named:
         if r.one_of:
             said.append(f"These data do not tell which it is, {' or '.join(find_effect(i).label for i in r.one_of)}.")

@@ -126,7 +126,7 @@ def test_a_base_that_is_named_has_the_place_where_it_tilts() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=on_a_pedestal_that_tips_about_an_edge)).verdict
     assert "base_compliance" in verdict.effects, verdict.text
     assert {"rotation", "place of tilting"} <= set(verdict.parts["base_compliance"].proven), verdict.text
-    told = re.search(r"It tilts most about y, about a line near x = (-?[\d.]+) m, z = (-?[\d.]+) m in base_link", verdict.text)
+    told = re.search(r"it tilts most about y, about a line near x = (-?[\d.]+) m, z = (-?[\d.]+) m in base_link", verdict.text)
     assert told is not None, verdict.text
     np.testing.assert_allclose([float(v) for v in told.groups()], [0.5, 0.0], atol=0.1)
 

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import html
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 import synthetic
+from irec_calibration.commands.improve import in_words
 from irec_calibration.diagnose import diagnose, improve
 from irec_calibration.diagnose.columns import block_columns
 from irec_calibration.diagnose.ground import Ground
@@ -20,6 +23,7 @@ from irec_calibration.effects.external_force import PLACE
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from irec_calibration.model import Estimate, Term, total_displacement
+from irec_calibration.report.ladder import write_ladder_report
 from irec_calibration.typing import Array
 
 TENSION, HOOK = 120.0, np.array([0.9, -0.4, 2.6])  # N; m in base_link
@@ -83,7 +87,16 @@ def test_it_is_named_with_its_tension_and_place_and_people_are_told_where_to_loo
     verdict = ladder().before.verdict
     assert verdict.effects == ("external_force",), verdict.text
     assert PLACE in verdict.parts["external_force"].proven, verdict.text
-    assert "towards about (" in verdict.text and "look what hangs or is fixed there" in verdict.text
+    assert verdict.where["external_force"] in verdict.text
+    assert verdict.where["external_force"].startswith("Unmeasured external force: it pulls with some")
+
+
+@pytest.mark.slow
+def test_who_improves_a_model_is_told_where_to_look_too(tmp_path: Path) -> None:
+    where = ladder().before.verdict.where["external_force"]
+    assert where in " ".join(in_words(ladder()).split())
+    page, *_ = write_ladder_report(ladder(), synthetic.session(poses=24, seed=3, extra=pulled), tmp_path)
+    assert html.escape(where) in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

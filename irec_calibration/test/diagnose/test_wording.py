@@ -22,8 +22,7 @@ def made(rows: list[int], sizes: list[float]) -> SimpleNamespace:
     residual = np.outer(sizes, (1.0, 0.0, 0.0))
     nan = float("nan")
     held_out = HeldOut(rms(residual), nan, nan, nan, np.arange(3), np.zeros(3), residual)
-    study = SimpleNamespace(observation=SimpleNamespace(rows=np.array(rows)), terms=())
-    return SimpleNamespace(held_out=held_out, study=study)
+    return SimpleNamespace(held_out=held_out, study=SimpleNamespace(observation=SimpleNamespace(rows=np.array(rows))))
 
 
 def missing(
@@ -37,7 +36,7 @@ def missing(
     bad = [SimpleNamespace(structure=SimpleNamespace(rows=aside))] if aside else []
     found = SimpleNamespace(names=names, parts=parts, stand_out=bad, usual=usual)
     same = made([1, 2], [5e-5, 5e-5])
-    return " ".join(wording._missing(found, SimpleNamespace(asked=asked or same, after=after or same), ()))  # type: ignore[arg-type]
+    return " ".join(wording._missing(found, SimpleNamespace(asked=asked or same, after=after or same), (), {}))  # type: ignore[arg-type]
 
 
 def test_a_reading_that_stands_out_does_not_hide_how_far_the_error_falls() -> None:
