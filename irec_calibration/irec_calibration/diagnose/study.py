@@ -17,7 +17,6 @@ from ..identification.gauss_newton import fitted
 from ..identification.identify import Fit, fit, keep_seated_anew, observe_with_force_noise
 from ..identification.noise import FARTHEST_CLAIM
 from ..identification.observe import Observation
-from ..identification.system import linearise
 from ..identification.validation import RIDGE, ROUNDING, floored
 from ..model import Term, apply_wrench_effects, elastic_response, mover_of, with_pull
 from ..session.data import Session
@@ -186,8 +185,8 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     """As `prepare`, for an observation that exists already."""
     scene, terms = observation.scene, completed(terms, observation)
     own = _widths(terms, scene)
-    first, _ = fitted(terms, observation, prior_width=own, settled=ROUGHLY)
-    system = linearise(first, observation)
+    first = fitted(terms, observation, prior_width=own, settled=ROUGHLY)
+    system = first.linearised(observation)
     owners = [terms[i].effect.id for i in system.owner]
     believed = NoisePrior(scale=min(1.0 / observation.whiten.level, FARTHEST_CLAIM))
     rounding = ROUNDING if scene.kind == "absolute" else RIDGE
@@ -209,7 +208,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
         narrow = _beside_softening(own, system.parameters, system.scale)
         block = replace(block, width=_softness(bench, block, follows) * narrow)
     width = block.width
-    result = fit(first, observation, prior_width=width, settled=NEARLY)
+    result = fit(first.terms, observation, prior_width=width, settled=NEARLY, start=replace(first, system=system))
     system = result.system
     ready = apply_wrench_effects(result.terms, scene)
     mover = mover_of(known_effects().values(), ready)

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from ..effects import absent, find_effect, known_effects
 from ..effects.scene import Scene
-from ..model import GEOMETRIC, Estimate, Term, regressors, total_displacement
+from ..model import GEOMETRIC, Estimate, Term, regressors
 from ..session.data import Session
 from ..typing import Array, IntArray
 from .observe import Observation
@@ -274,6 +274,6 @@ def _geometric_misfit(session: Session) -> float:
     from .outliers import robust_weights
 
     seen, terms = thinned(observe(session), ABSOLUTE.source_poses), base_terms()
-    found, _ = fitted(terms, seen.weighted(robust_weights(seen, terms)))  # one wrong row bends a fit of few poses by centimetres
-    residual = seen.y - seen.of(total_displacement(found, seen.scene))
+    found = fitted(terms, seen.weighted(robust_weights(seen, terms)))  # one wrong row bends a fit of few poses by centimetres
+    residual = seen.y - seen.of(found.moved)
     return float(np.median(np.linalg.norm(residual, axis=1)))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,12 +14,35 @@ from ..model import Estimate, Term, total_displacement
 from ..typing import Array
 from .absolute import completed
 from .observe import Observation
-from .system import System, linearise, solve, with_values
+from .system import System, linearise, moved_to, solve, with_values
 
-MAX_ITERATIONS = 20
+MAX_DERIVATIVES = 20  # of the displacement, each of which costs several times as much as the displacement itself
+MAX_STEPS = 60
 CONVERGED = 1e-6  # of the parameter scale
 SETTLED = 1e-9  # relative fall of the loss below which nothing is gained any more
 HALVINGS = 12
+TRUSTED = 0.5  # of the fall of the loss that a derivative promised and that must have come for it to be used once more
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where a fit ended.
+
+    Attributes:
+        terms: with values, whose true loss is never above that of the start.
+        converged: whether the iteration reached a minimum of the true loss.
+        moved: displacement by them in each row of the session, (n, 3), m.
+        system: the equations linearised about them; None where they were not needed there.
+    """
+
+    terms: tuple[Term, ...]
+    converged: bool
+    moved: Array
+    system: System | None = None
+
+    def linearised(self, observation: Observation) -> System:
+        """The equations about the terms, for the observation that was fitted."""
+        return linearise(self.terms, observation, self.moved) if self.system is None else self.system
 
 
 def fitted(
@@ -28,39 +51,53 @@ def fitted(
     *,
     prior_width: Array | None = None,
     settled: float = SETTLED,
+    start: Minimum | None = None,
     cancelled: Callable[[], bool] | None = None,
-) -> tuple[tuple[Term, ...], bool]:
+) -> Minimum:
     """Fit all parameters of the terms jointly.
+
+    A derivative is used for further steps as long as the loss falls about as it promises; whether a minimum was reached is
+    judged by the derivative there.
 
     Args:
         terms: effects with start values.
         observation: what was measured.
         prior_width: see `system.solve`.
         settled: relative fall of the loss below which nothing is gained any more.
+        start: where another fit of these terms to this observation ended, with other priors: used instead of the terms.
         cancelled: called between iterations; returning True stops.
-
-    Returns:
-        the terms with values, whose true loss is never above that of the start, and whether the iteration converged.
 
     Raises:
         SolveError: an effect can't act on this session, or nothing is free.
         Cancelled: as asked for.
     """
-    terms = tuple(_with_starts(t, observation) for t in completed(terms, observation))
-    loss, moved, iterates = np.inf, None, False
-    for _ in range(MAX_ITERATIONS):
+    if start is None:
+        terms = tuple(_with_starts(t, observation) for t in completed(terms, observation))
+        moved, system = total_displacement(terms, observation.scene), None
+    else:
+        terms, moved, system = start.terms, start.moved, start.system
+    loss, iterates, derivatives, is_here = np.inf, False, 0, system is not None
+    for _ in range(MAX_STEPS):
         if cancelled is not None and cancelled():
             raise Cancelled("the fit was cancelled")
-        moved = total_displacement(terms, observation.scene) if moved is None else moved
-        system = linearise(terms, observation, moved)
+        if system is None:
+            if derivatives == MAX_DERIVATIVES:
+                break
+            system, is_here, derivatives = linearise(terms, observation, moved), True, derivatives + 1
+        elif not is_here:
+            system = moved_to(system, terms, observation, moved)
         now = _values(terms, system)
         if not np.isfinite(loss):
             loss = _loss(moved, observation, now, prior_width)
         step = solve(system, prior_width=prior_width) - now
-        if np.isfinite(loss) and _in_bounds(now, system) and _promised(system, now, step, prior_width) <= settled * loss:
-            return terms, True
+        promised = _promised(system, now, step, prior_width)
+        if np.isfinite(loss) and _in_bounds(now, system) and promised <= settled * loss:
+            if is_here:
+                return Minimum(terms, True, moved, system)
+            system = None
+            continue
         taken = 1.0
-        for _ in range(HALVINGS):
+        for _ in range(HALVINGS if is_here else 1):
             x = now + taken * step
             tried = with_values(terms, system, x)
             ahead = total_displacement(tried, observation.scene)
@@ -69,15 +106,22 @@ def fitted(
                 break
             taken *= 0.5
         else:
-            # the step leads nowhere: at the minimum up to rounding, or stuck where the linearisation does not hold
-            return terms, bool(_promised(system, now, step, prior_width) < 1e-3 * max(loss, 1.0))
+            if is_here:
+                # the step leads nowhere: at the minimum up to rounding, or stuck where the linearisation does not hold
+                return Minimum(terms, bool(promised < 1e-3 * max(loss, 1.0)), moved, system)
+            system = None
+            continue
         gained, loss, terms, moved = loss - new, new, tried, ahead
         iterates = iterates or _iterates(terms, observation)
         if taken == 1.0 and not iterates:
-            return terms, True
-        if np.abs(taken * step).max() < CONVERGED * (1.0 + np.abs(x).max()) or gained <= settled * max(loss, 1e-30):
-            return terms, True
-    return terms, False
+            return Minimum(terms, True, moved)
+        small = np.abs(taken * step).max() < CONVERGED * (1.0 + np.abs(x).max()) or gained <= settled * max(loss, 1e-30)
+        if small and is_here:
+            return Minimum(terms, True, moved)
+        is_here = False
+        if small or taken < 1.0 or not gained >= TRUSTED * promised:
+            system = None
+    return Minimum(terms, False, moved)
 
 
 def _iterates(terms: Sequence[Term], observation: Observation) -> bool:

@@ -20,12 +20,12 @@ from ..robot.ratings import rated_torque, rating_known
 from ..session.data import Session
 from ..typing import Array, BoolArray
 from .absolute import base_terms, completed, near_pairs, noted, repeating, with_better_joints
-from .gauss_newton import SETTLED, fitted
+from .gauss_newton import SETTLED, Minimum, fitted
 from .identifiability import identifiability
 from .marker_noise import by_marker
 from .observe import Observation, observe
 from .outliers import again, treated
-from .system import System, linearise
+from .system import System
 from .validation import rms
 
 
@@ -76,6 +76,7 @@ def fit(
     *,
     prior_width: Array | None = None,
     settled: float = SETTLED,
+    start: Minimum | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> Fit:
     """Fit all parameters of the terms jointly (Gauss-Newton with bounds and step control; one step where all is linear).
@@ -84,21 +85,20 @@ def fit(
         terms: effects with start values.
         observation: what was measured.
         prior_width: see `solve`.
-        settled: see `fitted`.
+        settled, start: see `fitted`.
         cancelled: called between iterations; returning True stops.
 
     Raises:
         SolveError: fewer equations than needed, or an effect of the model can't act on this session.
         Cancelled: as asked for.
     """
-    found, converged = fitted(terms, observation, prior_width=prior_width, settled=settled, cancelled=cancelled)
-    return _describe(found, observation, converged)
+    found = fitted(terms, observation, prior_width=prior_width, settled=settled, start=start, cancelled=cancelled)
+    return _describe(found, observation)
 
 
-def _describe(terms: tuple[Term, ...], observation: Observation, converged: bool) -> Fit:
-    moved = total_displacement(terms, observation.scene)
-    system = linearise(terms, observation, moved)
-    residual = observation.y - observation.of(moved)
+def _describe(found: Minimum, observation: Observation) -> Fit:
+    terms, system = found.terms, found.linearised(observation)
+    residual = observation.y - observation.of(found.moved)
     chi2 = float((observation.whiten(residual) ** 2).sum())
     named = list(zip(system.owner, system.parameters, strict=True))
     values = np.array([terms[i].estimates[p.name].value for i, p in named])
@@ -117,7 +117,7 @@ def _describe(terms: tuple[Term, ...], observation: Observation, converged: bool
         condition=known.condition,
         combinations=tuple(replace(c, se=excess * c.se) for c in known.combinations),
         system=system,
-        converged=converged,
+        converged=found.converged,
     )
 
 
@@ -148,13 +148,12 @@ def observe_with_force_noise(
     whole = _whole(session).seeing(sag_share)
     first = treated(whole, terms, lasting)
     if session.kind == "absolute":
-        found, _ = fitted(terms, first)
-        residual = first.y - first.of(total_displacement(found, first.scene))
+        residual = first.y - first.of(fitted(terms, first).moved)
         note = repeating(near_pairs(first, residual))
         return by_marker(replace(noted(first, note), repeating=note) if note else first, residual)
     if session.noise.force_n <= 0.0 or not any(t.effect.elastic for t in terms):
         return first
-    springs, _ = fitted([t for t in terms if t.effect.elastic], first)
+    springs = fitted([t for t in terms if t.effect.elastic], first).terms
     return again(whole.with_force_noise(elastic_response(springs, first.scene).compliance[:, :, :3]), first)
 
 

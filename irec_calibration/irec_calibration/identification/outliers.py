@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..model import Term, total_displacement
+from ..model import Term
 from ..typing import Array
 from .accidents import accidents
 from .bad_rows import BadRow, place
@@ -112,7 +112,7 @@ def _find(observation: Observation, terms: Sequence[Term]) -> tuple[tuple[BadRow
         weight = robust_weights(observation, terms)
     for _ in range(OUTLIERS.rounds):
         live = observation.only(~out)
-        near = neighbours(live, fitted(terms, live.weighted(weight[~out]))[0])
+        near = neighbours(live, fitted(terms, live.weighted(weight[~out])).terms)
         weight[~out] = near.weight
         more = [b for b in accidents(live, near, any(b.kind == "moved" for b in found)) if not kept_in & set(b.rows)]
         common = common_cause(live, near, more)
@@ -134,8 +134,8 @@ def robust_weights(observation: Observation, terms: Sequence[Term]) -> Array:
     weight = np.ones(len(marker))
     for _ in range(OUTLIERS.starts):
         # from the start each time: wrong rows hide which geometric parameters the poses determine
-        found = fitted(terms, observation.weighted(weight))[0]
-        r = np.linalg.norm(observation.y - observation.of(total_displacement(found, observation.scene)), axis=1)
+        found = fitted(terms, observation.weighted(weight))
+        r = np.linalg.norm(observation.y - observation.of(found.moved), axis=1)
         z = r / observation.whiten.sigma
         for m in np.unique(marker):
             z[marker == m] *= np.sqrt(MIDDLE) / max(float(np.median(z[marker == m])), 1e-12)

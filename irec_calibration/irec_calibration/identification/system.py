@@ -89,6 +89,22 @@ def linearise(terms: Sequence[Term], observation: Observation, moved: Array | No
     )
 
 
+def moved_to(system: System, terms: Sequence[Term], observation: Observation, moved: Array) -> System:
+    """The same equations about other values of the terms, with the derivatives of before.
+
+    Args:
+        moved: displacement by the terms in each row of the session, (n, 3), m.
+    """
+    values = [terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)]
+    x = np.array(values) / system.scale
+    centre = np.where([p.flat for p in system.parameters], x, 0.0)
+    residual = observation.whiten(observation.y - observation.of(moved)).ravel()
+    away = centre - system.centre
+    return replace(
+        system, b=residual + system.A @ (x - centre), lower=system.lower - away, upper=system.upper - away, centre=centre
+    )
+
+
 def solve(system: System, rows: BoolArray | None = None, prior_width: Array | None = None) -> Array:
     """Bounded least squares, Eq. (19), in scaled units, (p,).
 
