@@ -12,8 +12,9 @@ from ..effects import Effect, Family
 from ..typing import Array, BoolArray
 
 LEVELS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of the springs' priors, tried on each session
+FORM_LEVELS = (0.0625, 0.125, *LEVELS)  # the same of what completes their form
 FACTORS = np.array([0.1, 0.5, 2.5, 12.5])  # of an effect's prior width
-FACTOR_OF_FORM = 2.0  # within which it is known how large what completes the springs' form is, one standard deviation
+FACTOR_OF_FORM = 4.0  # within which it is known how large what completes the springs' form is, one standard deviation
 
 
 @dataclass(frozen=True)
@@ -53,12 +54,12 @@ def choices(owners: Sequence[Effect], together: Sequence[str]) -> Iterator[Choic
     form = np.isin(key, [k for k, e in others.items() if e.completes])
     gives_way = np.isin(key, [k for k, e in others.items() if e.family is Family.SPRING and not e.completes])
     if form.any() and gives_way.any():
-        pairs = [(level, times) for level in LEVELS for times in FACTORS]
+        pairs = [(level, times) for level in FORM_LEVELS for times in FACTORS]
         rows = np.array([np.where(form, level, np.where(gives_way, times, 1.0)) for level, times in pairs])
         odds = log_odds_of_form(np.array([level for level, _ in pairs])) * len(np.unique(key[form]))
         yield Choice(form | gives_way, rows, odds)
     for name, effect in others.items():
-        tried = np.array(LEVELS) if effect.completes else FACTORS
+        tried = np.array(FORM_LEVELS) if effect.completes else FACTORS
         odds = log_odds_of_form(tried) if effect.completes else np.zeros(len(tried))
         yield Choice(key == name, np.where(key == name, tried[:, None], 1.0), odds, name if effect.completes else "")
 
@@ -71,3 +72,15 @@ def level_key(effect_id: str, level: str) -> str:
 def log_odds_of_form(level: Array) -> Array:
     """Log odds of levels of what completes the form of springs, against its usual size, (k,)."""
     return np.asarray(-0.5 * (np.log(level) / np.log(FACTOR_OF_FORM)) ** 2)
+
+
+def level_of_form(log_evidence: Array) -> float:
+    """The level of what completes the form of springs: the mean of log(level) over FORM_LEVELS, each as likely as it is.
+
+    Few sessions tell it, and the likeliest alone would be believed as if they did.
+
+    Args:
+        log_evidence: of each level, with its log odds beforehand, (k,).
+    """
+    weight = np.exp(log_evidence - log_evidence.max())
+    return float(np.exp(weight @ np.log(FORM_LEVELS) / weight.sum()))

@@ -22,7 +22,7 @@ from ..model import Term, apply_wrench_effects, elastic_response, mover_of, with
 from ..session.data import Session
 from ..typing import Array
 from .evidence import Bench, Block, NoisePrior
-from .priors import LEVELS, choices, level_key, log_odds_of_form
+from .priors import FORM_LEVELS, choices, level_key, level_of_form, log_odds_of_form
 from .settings import SETTINGS
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ def form_evidence(asked: Study, completed: Study) -> float:
     if len(asked.terms) == len(completed.terms):
         return 0.0
     plain, whole = (s.bench.posterior(s.base).log_evidence for s in (asked, completed))
-    every = log(np.exp(log_odds_of_form(np.array(LEVELS))).sum()) * max(len(completed.form), 1)
+    every = log(np.exp(log_odds_of_form(np.array(FORM_LEVELS))).sum()) * max(len(completed.form), 1)
     return float(whole + completed.log_odds_of_form - plain - asked.log_odds_of_form - every)
 
 
@@ -199,10 +199,13 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
         soft = _softness(bench, block, follows)
         tried = np.where(choice.of, choice.times, times)
         widths = soft * np.array([_beside_softening(own * t, system.parameters, system.scale) for t in tried])
-        best = int(np.argmax(bench.evidence_over_widths(block, widths) + choice.log_odds))
+        log_evidence = bench.evidence_over_widths(block, widths) + choice.log_odds
+        best = int(np.argmax(log_evidence))
         times, block = tried[best], replace(block, width=widths[best])
         if choice.completing:
-            form[choice.completing] = LEVELS[best]
+            level = form[choice.completing] = level_of_form(log_evidence)
+            times = np.where(choice.of, level, times)
+            block = replace(block, width=np.where(choice.of, level / FORM_LEVELS[best], 1.0) * block.width)
     own = own * times
     for _ in range(ROUNDS if follows else 0):  # the springs depend a little on what goes with them
         narrow = _beside_softening(own, system.parameters, system.scale)

@@ -18,7 +18,7 @@ from .family import Family
 from .forms import bends, forms_of
 from .ground import Ground
 from .naming import refused
-from .priors import LEVELS, log_odds_of_form
+from .priors import FORM_LEVELS, log_odds_of_form
 from .readings import by_readings
 from .remainder import grow
 from .rivals import Check
@@ -122,7 +122,7 @@ def _with_less_form(study: Study) -> Iterator[tuple[Block, float]]:
     Without a soft tool or base the form of springs may have been found so large that it stands for them.
     """
     for share in LESS_FORM:
-        form = {effect: level * share for effect, level in study.form.items() if level * share >= min(LEVELS)}
+        form = {effect: level * share for effect, level in study.form.items() if level * share >= min(FORM_LEVELS)}
         if form:
             odds = log_odds_of_form(np.array([[study.form[e], level] for e, level in form.items()]))
             yield study.with_form(form), float((odds[:, 1] - odds[:, 0]).sum())
