@@ -19,7 +19,7 @@ from ..typing import Json
 from .assessment import Assessment
 from .candidates import try_effect
 from .expected_error import with_error
-from .held_out import Validated, validated
+from .held_out import Validated, on_the_way, validated
 from .part_sets import Parts
 from .parts import parts_json, prune
 from .result import Diagnosis, finite
@@ -147,14 +147,14 @@ def improve(
     session = carrying(session, shown.asked.study.session.payload)
     start, added = assessment.built.start.study, assessment.built.final
     rungs = [_rung(shown.asked, "", 0.0, model)]
-    base = list(shown.asked.study.terms)
+    base, whole = list(shown.asked.study.terms), shown.without_form or shown.after
     if shown.completed is not None:
         rungs.append(_rung(shown.completed, "+".join(shown.form), shown.form_evidence, rungs[-1].model))
         base = list(start.terms)
     for n, effect in enumerate(added.ids, start=1):
         check()
         is_last = n == len(added.ids)
-        one = (shown.without_form or shown.after) if is_last else validated(session, [*base, *added.added[:n]])
+        one = whole if is_last else on_the_way(whole, [*base, *added.added[:n]])
         evidence = assessment.built.evidence.get(effect, float("nan"))
         rung = _rung(one, effect, evidence, rungs[-1].model, assessment.parts if is_last else {})
         one_of = next(((effect, *(i for i in s if i != effect)) for s in assessment.one_of if effect in s), ())

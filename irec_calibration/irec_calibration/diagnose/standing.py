@@ -7,25 +7,31 @@ Asked of all others when an effect has come, and of the whole at the end.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ..identification.validation import gain
-from .explanation import Explanation, everywhere, in_one_pose, remainder_of, shown_by_readings, without
+from .explanation import Explanation, everywhere, in_one_pose, own_forms, remainder_of, shown_by_readings, without
 from .family import Family
 from .form_errors import evidence_beside, feigned
 from .forms import Forms, bends, courses, forms_of, has_form_of
 from .held_out import held_out, only_good_poses
 from .naming import needed, odds_of
+from .parts import without_columns
 from .readings import against
 from .remainder import Part
 from .settings import Settings
+
+PLAINLY = 25.0  # nats, chosen: five times what a name needs
 
 
 def pruned(start: Explanation, one: Explanation, family: Family, settings: Settings) -> Explanation:
     """A model without the effects that what came last made needless."""
     while len(one.added) > 1:
         for effect_id in one.ids[:-1]:
+            if plainly_needed(one, effect_id, family):
+                continue
             bare = without(start, one, effect_id, family)
             if odds_of(start, one, bare, effect_id, family, settings) < settings.nats_to_name:
                 one = bare
@@ -33,6 +39,19 @@ def pruned(start: Explanation, one: Explanation, family: Family, settings: Setti
         else:
             break
     return one
+
+
+def plainly_needed(one: Explanation, effect_id: str, family: Family) -> bool:
+    """Whether a model without one of its effects would be so much poorer in the linear problem about its fit that no refit of the
+    others makes up for it."""
+    bare = without_columns(one.study, effect_id)
+    before, after = (s.bench.posterior(s.base) for s in (bare, one.study))
+    lost = min(after.log_evidence - before.log_evidence, one.study.bench.saved(before.chi2, after.chi2))
+    if lost < PLAINLY:
+        return False
+    forms = replace(own_forms(one, effect_id), steps=frozenset(), angles=frozenset())  # as of `odds_of`
+    in_its_place = remainder_of(bare, family, one.remainder.parts, forms)
+    return lost + one.remainder.gained - in_its_place.gained >= PLAINLY
 
 
 def proven(

@@ -16,9 +16,12 @@ from irec_calibration.diagnose import Diagnosis, diagnose, improve, start_terms
 from irec_calibration.diagnose.assessment import assess
 from irec_calibration.diagnose.build import Built, build
 from irec_calibration.diagnose.evidence import Block
+from irec_calibration.diagnose.explanation import explain
 from irec_calibration.diagnose.settings import SETTINGS
+from irec_calibration.diagnose.standing import plainly_needed
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.diagnose.tool_weight import reference_readings
+from irec_calibration.diagnose.tries import tried_on
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
@@ -357,3 +360,12 @@ def test_no_measurement_is_proposed_where_nothing_is_in_question() -> None:
 def test_an_absolute_session_that_the_geometric_model_explains_is_adequate() -> None:
     quiet = absolute_sessions.session(poses=60, noise=Noise(tracker_m=2e-5))
     assert diagnose(quiet).verdict.status == "adequate"
+
+
+def test_an_effect_that_is_there_is_plainly_needed_and_one_that_is_not_there_is_not() -> None:
+    study = prepare(session(play_of_axis_4), start_terms(session(play_of_axis_4)))
+    built = build(study)
+    more = next(t for t in tried_on(built.final, built.possible) if t.effect.id == "sensor_gain")
+    both = explain(built.start, built.final, more, built.family)
+    assert both is not None and both.ids == ("joint_backlash", "sensor_gain")
+    assert [plainly_needed(both, i, built.family) for i in both.ids] == [True, False]

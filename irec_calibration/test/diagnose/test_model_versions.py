@@ -10,7 +10,7 @@ import pytest
 import synthetic
 from irec_calibration.diagnose import add_effect, improve, remove_effect
 from irec_calibration.diagnose.attempt import attempt
-from irec_calibration.diagnose.held_out import held_out
+from irec_calibration.diagnose.held_out import held_out, on_the_way, validated
 from irec_calibration.diagnose.study import prepare
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.scene import Scene
@@ -50,6 +50,13 @@ def test_the_place_of_bending_that_a_missing_effect_hid_is_found_beside_it() -> 
     assert found.rungs[2].parts == found.rungs[1].parts
     assert found.before.cv_rms_after_m == found.rungs[2].cv_rms_m
     assert "Beside that the springs' place of bending matters" in found.before.verdict.text
+
+
+def test_a_version_on_the_way_counts_the_readings_that_the_last_one_counts() -> None:
+    whole = validated(session(play_of_axis_4), blank_model((*EIGHTEEN_DOF, "joint_backlash")))
+    plain = on_the_way(whole, blank_model(EIGHTEEN_DOF))
+    assert plain.study.observation is whole.study.observation
+    assert plain.held_out.rms_m > 1.5 * whole.held_out.rms_m
 
 
 def test_the_place_of_bending_is_added_and_tried_like_any_effect() -> None:
