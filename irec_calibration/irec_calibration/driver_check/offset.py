@@ -17,11 +17,16 @@ LATENCY = 0.5  # s from the first offset to the first sign of it: it may be fade
 HOLD = 0.05  # s after the last offset in which it is still there
 FADED_AFTER = 1.0  # s after the last offset in which it is gone: 0.1 s and a fade of 0.5 s, and the rate of robot/state
 STEP = 5e-4  # m between two messages of tcp_pose
+SENT_WITHIN = 0.05  # s from one offset to the next; a driver may begin to fade it out after 0.1 s without one
 
 
 @dataclass(frozen=True)
 class Offsets:
-    """What was sent and seen: a small offset (3,), m, at 250 Hz from `begin` to `end`, s; the same with a far too large one."""
+    """What was sent and seen: a small offset (3,), m, at 250 Hz from `begin` to `end`, s; the same with a far too large one.
+
+    Attributes:
+        without: longest time between `begin` and `end` in which no small offset was sent, s.
+    """
 
     small: Array
     begin: float
@@ -29,6 +34,7 @@ class Offsets:
     seen: Observation
     large: Array
     large_seen: Observation
+    without: float = 0.0
 
 
 def judge_offset(o: Offsets) -> list[Item]:
@@ -41,6 +47,15 @@ def judge_offset(o: Offsets) -> list[Item]:
     s, tcp = o.seen.streams.get("robot/state"), o.seen.streams.get("tcp_pose")
     if s is None or tcp is None or len(s.stamp) < 5 or len(tcp.stamp) < 5:
         item("robot/state and tcp_pose", False, "too few messages", "", "publish both")
+        return items
+    item(
+        "offsets are sent in time",
+        o.without <= SENT_WITHIN,
+        f"{o.without:.2f} s without one",
+        f"{SENT_WITHIN:g} s",
+        "this tells nothing of the driver: this computer, or the wrench that each offset is sent with, stood still; check again",
+    )
+    if o.without > SENT_WITHIN:
         return items
     applied = s.value[:, 2:5]
     inside = (s.stamp > o.begin + 0.5 * (o.end - o.begin)) & (s.stamp <= o.end)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,7 @@ class DriverClient:
         self._follower = node.create_publisher(Header, "sim/follower", 10) if self.simulated else None
         self.pressing: Array | None = None  # set point that is renewed while waiting, N
         self.correcting: Array | None = None  # offset that is sent with each wrench, m
+        self._corrected: list[float] = []  # when one was sent, s of the cell's clock
         self.cancelled_at: Array | None = None  # TCP when the last cancel was sent, (3,), m in base_link
         self._followed = self._renewed = 0.0
 
@@ -117,6 +119,12 @@ class DriverClient:
             offset.header.frame_id, offset.header.stamp = "base_link", self.node.get_clock().now().to_msg()
             offset.transform.translation = vector(self.correcting)
             self._offset.publish(offset)
+            self._corrected.append(self.now)
+
+    def longest_without_offset(self, begin: float, end: float) -> float:
+        """The longest time between two times of the cell's clock in which no offset was sent, s."""
+        sent = [t for t in self._corrected if begin < t < end]
+        return max(b - a for a, b in pairwise([begin, *sent, end]))
 
     def wait(self, until: Callable[[], bool], what: str, patience: float = PATIENCE) -> None:
         """Spin until it holds. NoAnswerError after `patience` s of the machine's clock."""

@@ -10,7 +10,7 @@ from irec_msgs.srv import SetControlMode
 from ..cell import Cell
 from ..driver_check.moving import Moves, judge_moves
 from ..driver_check.observed import Answer, Item, Observation
-from ..driver_check.offset import Offsets, judge_offset
+from ..driver_check.offset import SENT_WITHIN, Offsets, judge_offset
 from ..driver_check.passive import judge_passive
 from ..driver_check.pressing import LEAVE, Pressing, judge_pressing
 from ..poses.checker import Checker
@@ -34,6 +34,7 @@ FREE_READINGS = 50  # of the wrench before contact, averaged
 FARTHEST = 0.02  # m from where the tool was a few millimetres above the surface
 OFFSET = 1e-3  # m
 FAR = 0.1  # m
+TRIES = 3  # of offsets that this computer sends in time
 
 
 def passive(client: DriverClient, cell: Cell, axes: Axes) -> list[Item]:
@@ -170,16 +171,20 @@ def pressing(client: DriverClient, settings: Settings) -> list[Item]:
 def offset(client: DriverClient) -> list[Item]:
     """In free air: a millimetre for a second, then far too much."""
     small = OFFSET * np.array([0.6, 0.0, 0.8])
-    start, _ = client.pause(STAND)
-    client.correcting = small
-    begin, end = client.pause(2.0)
-    client.correcting = None
-    seen = client.seen(start, client.pause(1.5)[1])
+    for _ in range(TRIES):
+        start, _ = client.pause(STAND)
+        client.correcting = small
+        begin, end = client.pause(2.0)
+        client.correcting = None
+        seen = client.seen(start, client.pause(1.5)[1])
+        without = client.longest_without_offset(begin, end)
+        if without <= SENT_WITHIN:
+            break
     client.correcting = np.array([0.0, 0.0, FAR])
     large_begin, _ = client.pause(1.0)
     client.correcting = None
     large_seen = client.seen(large_begin, client.pause(1.5)[1])
-    return judge_offset(Offsets(small, begin, end, seen, np.array([0.0, 0.0, FAR]), large_seen))
+    return judge_offset(Offsets(small, begin, end, seen, np.array([0.0, 0.0, FAR]), large_seen, without))
 
 
 def above_surface(

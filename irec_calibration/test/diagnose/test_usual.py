@@ -132,11 +132,11 @@ def test_structure_of_half_a_hundredth_of_the_deflection_is_usual_where_noise_hi
 def test_small_structure_of_sound_gears_is_told_and_is_no_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may still help to predict: the improved model has what stands in for it."""
     monkeypatch.setattr(assessment, "as_in_every_robot", lambda study, left, noise, settings: left)
-    found = diagnose(synthetic.session(poses=40, seed=2, extra=goes_with_another_angle))
+    found = diagnose(synthetic.session(poses=30, seed=2, extra=goes_with_another_angle))
     assert found.verdict.status == "adequate" and not found.verdict.evidence and found.verdict.remaining_m == 0.0
     assert "of structure is left, no more than gears of every robot leave" in found.verdict.text
     monkeypatch.undo()
-    assert diagnose(synthetic.session(poses=40, seed=2, extra=goes_with_another_angle)).verdict.status == "unexplained"
+    assert diagnose(synthetic.session(poses=30, seed=2, extra=goes_with_another_angle)).verdict.status == "unexplained"
 
 
 @pytest.mark.parametrize(("together", "usual_"), [(0.0, True), (np.inf, False)])

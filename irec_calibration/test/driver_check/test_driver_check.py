@@ -358,6 +358,12 @@ OFFSET: dict[str, tuple[Callable[[], Offsets], str]] = {
 }  # fmt: skip
 
 
+def test_offsets_that_this_computer_sends_late_tell_nothing_of_the_driver() -> None:
+    late = replace(offsets(lambda t: 0.0 * t), without=0.12)
+    assert [i.name for i in judge_offset(late) if not i.passed] == ["offsets are sent in time"]
+    assert "0.12 s without one" in failures(judge_offset(late)) and "nothing of the driver" in failures(judge_offset(late))
+
+
 @pytest.mark.parametrize("wrong", OFFSET)
 def test_a_wrong_driver_fails_the_offset_with_the_right_sentence(wrong: str) -> None:
     fault, sentence = OFFSET[wrong]
