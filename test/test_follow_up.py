@@ -52,6 +52,7 @@ def test_what_a_session_does_not_tell_is_told_by_the_poses_that_are_planned_for_
     assert (after["status"], after["effects"], after["one_of"]) == ("missing_effect", ["tool_compliance"], [])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_plan_says_what_it_is_expected_to_tell(first: Path, tmp_path, capsys) -> None:
     capsys.readouterr()

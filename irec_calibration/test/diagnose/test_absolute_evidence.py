@@ -162,6 +162,7 @@ def test_what_harmonics_do_not_explain_of_an_encoder_is_said() -> None:
     assert verdict.remaining_m > 1e-5 and "joint_1" in verdict.depends_on, verdict.text
 
 
+@pytest.mark.long
 def test_settling_and_friction_of_one_axis_are_named_where_both_together_are_better_than_any_curve_of_its_step() -> None:
     verdict = diagnose(session(poses=120, noise=NOISE, moved=settles_and_has_friction)).verdict
     assert set(verdict.effects) == {"joint_settling", "joint_hysteresis", "joint_torsion"}, verdict.text

@@ -66,6 +66,7 @@ def test_beside_an_accident_a_cause_is_named_and_a_bumped_station_is_no_rival_of
     assert f"pose {POSE}" in verdict.text
 
 
+@pytest.mark.long
 def test_a_plainly_wrong_last_reading_is_kept_where_the_readings_of_later_poses_have_the_step_too() -> None:
     once, lasting = (prepare(s, start_terms(s)) for s in (measured(5), measured(5, later=True)))
     row = int(np.flatnonzero((once.session.pose == POSE) & (once.session.load_case == 5))[0])

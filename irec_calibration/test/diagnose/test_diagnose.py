@@ -154,6 +154,7 @@ def face_closes(scene: Scene) -> Array:
     return np.asarray(scene.kin.R_tool @ [1e-4, 0.0, 0.0] * (scene.load_case > 0)[:, None])
 
 
+@pytest.mark.long
 def test_what_is_the_same_in_all_loaded_rows_depends_on_there_being_a_load() -> None:
     verdict = diagnose(synthetic.session(poses=24, seed=2, extra=face_closes)).verdict
     assert (verdict.status, verdict.effects, verdict.depends_on) == ("unexplained", (), ("load_case",)), verdict.text

@@ -30,6 +30,7 @@ def test_a_drift_with_a_thermometer_is_named_whatever_it_is_per_kelvin(m_per_kel
     assert (verdict.effects, verdict.parts["thermal_drift"].proven) == (("thermal_drift",), ("temp_air",))
 
 
+@pytest.mark.long
 def test_a_drift_by_more_than_robots_warm_up_is_not_named() -> None:
     verdict = diagnose(drifting(8e-3)).verdict
     assert (verdict.status, verdict.effects) == ("unexplained", ())

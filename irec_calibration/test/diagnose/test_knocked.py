@@ -48,6 +48,7 @@ def test_the_pose_is_told_as_knocked_and_not_as_a_cause() -> None:
     assert f"pose {POSE}" in knocked().verdict.text and "knocked" in knocked().verdict.text
 
 
+@pytest.mark.long
 def test_a_step_that_later_readings_have_too_is_named() -> None:
     assert set(diagnose(measured(later=True)).verdict.effects) == {"station_shift", "joint_backlash"}
 

@@ -103,9 +103,10 @@ def test_how_many_laws_are_held_in_memory_at_once_changes_nothing(study: Study, 
     ("cause", "law"),
     [
         (axis_1_gives_way_to_the_product_of_two_torques, "axis 1: a * tau * tau_5 / load"),
-        pytest.param(a_bearing_of_axis_4_tilts_by_a_force, "link 4a: a * abs(f_x)", marks=pytest.mark.long),
+        (a_bearing_of_axis_4_tilts_by_a_force, "link 4a: a * abs(f_x)"),
     ],
 )
+@pytest.mark.long
 def test_an_improved_model_predicts_a_cause_that_has_no_name(cause, law) -> None:
     ladder = improve(synthetic.session(poses=30, seed=8, extra=cause))
     assert ladder.before.verdict.effects == ()

@@ -58,6 +58,7 @@ def improved() -> Ladder:
     return improve(measured(True))
 
 
+@pytest.mark.long
 def test_the_mass_of_a_tool_that_nobody_stated_is_found() -> None:
     payload = shown().payload
     about = np.linalg.norm(TOOL.com) / np.linalg.norm(payload.com)  # its moment is what shows

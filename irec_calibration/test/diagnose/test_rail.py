@@ -56,6 +56,7 @@ def aslant(scene: Scene) -> NDArray[np.float64]:
     return np.cross((soft * (moment @ about))[:, None] * about, scene.p_observed)
 
 
+@pytest.mark.long
 def test_a_carriage_that_tilts_aslant_is_a_rail_and_no_base_beside_it() -> None:
     session = replace(synthetic.session(POSES, seed=4, extra=aslant), ext={"rail": positions()})
     ladder = improve(session)

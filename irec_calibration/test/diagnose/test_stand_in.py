@@ -65,6 +65,7 @@ def read_with_gain(loss_per_kilonewton: float, hidden: Callable[[Scene], Array] 
     return replace(read, force_in_tool=force * (1.0 - loss_per_kilonewton * np.abs(force) / 1000.0))
 
 
+@pytest.mark.long
 def test_each_of_several_that_stand_in_is_a_rung_and_lowers_the_error():
     found = improve(read_with_gain(0.2, play_in_the_bearing_of_axis_5))
     standing_in = [r for r in found.rungs if not r.named]

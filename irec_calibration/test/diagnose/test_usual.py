@@ -129,6 +129,7 @@ def test_structure_of_half_a_hundredth_of_the_deflection_is_usual_where_noise_hi
     assert as_in_every_robot(plain, size, noise, SETTINGS) == (size if usual else 0.0)
 
 
+@pytest.mark.long
 def test_small_structure_of_sound_gears_is_told_and_is_no_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may still help to predict: the improved model has what stands in for it."""
     monkeypatch.setattr(assessment, "as_in_every_robot", lambda study, left, noise, settings: left)

@@ -51,6 +51,7 @@ def test_ur5_geometry_takes_most_joint_compliance_a_little_and_transverse_terms_
     assert bending > 0.97 * torsion
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_ur10_stays_unexplained_and_its_residual_repeats_with_the_pose(tmp_path):
     table = data("ipa_ur10_lasertracker") / "Series_A" / "measurements_grid.csv"
