@@ -103,7 +103,7 @@ def validated(session: Session, terms: Sequence[Term]) -> Validated:
 def on_the_way(whole: Validated, terms: Sequence[Term]) -> Validated:
     """A version with fewer effects than a validated model, on the readings that count for that one and at its noise.
 
-    So versions on the way differ by their effects alone, and cost a tenth of what it takes to find out which readings count.
+    So versions on the way differ by their effects alone, and cost little: to find out which readings count is most of the work.
     """
     study = replace(study_of(whole.study.observation, terms), apart=whole.study.apart)
     return Validated(study, held_out(study))

@@ -130,6 +130,10 @@ class Settings(Thresholds):
         4.0, "nats", "evidence that a name needs over nonparametric structures in its place",
         "odds of 50, against the best of some 500 whose number is taken off; that something is there is asked before",
     )  # fmt: skip
+    nats_plainly: float = threshold(
+        25.0, "nats", "by which the linear problem needs an effect that is not taken out to see what a refit makes of it",
+        "chosen: four times what a name needs",
+    )  # fmt: skip
     nats_to_stand_in: float = threshold(
         2.3, "nats", "evidence that an effect needs to be part of an improved model without a name, where no structure is left",
         "odds of 10: likelier there than not, even if before the session it was as rare as one in eleven",

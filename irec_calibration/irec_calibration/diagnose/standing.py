@@ -23,14 +23,12 @@ from .readings import against
 from .remainder import Part
 from .settings import Settings
 
-PLAINLY = 25.0  # nats, chosen: five times what a name needs
-
 
 def pruned(start: Explanation, one: Explanation, family: Family, settings: Settings) -> Explanation:
     """A model without the effects that what came last made needless."""
     while len(one.added) > 1:
         for effect_id in one.ids[:-1]:
-            if plainly_needed(one, effect_id, family):
+            if plainly_needed(one, effect_id, family, settings):
                 continue
             bare = without(start, one, effect_id, family)
             if odds_of(start, one, bare, effect_id, family, settings) < settings.nats_to_name:
@@ -41,17 +39,17 @@ def pruned(start: Explanation, one: Explanation, family: Family, settings: Setti
     return one
 
 
-def plainly_needed(one: Explanation, effect_id: str, family: Family) -> bool:
+def plainly_needed(one: Explanation, effect_id: str, family: Family, settings: Settings) -> bool:
     """Whether a model without one of its effects would be so much poorer in the linear problem about its fit that no refit of the
     others makes up for it."""
     bare = without_columns(one.study, effect_id)
     before, after = (s.bench.posterior(s.base) for s in (bare, one.study))
     lost = min(after.log_evidence - before.log_evidence, one.study.bench.saved(before.chi2, after.chi2))
-    if lost < PLAINLY:
+    if lost < settings.nats_plainly:
         return False
     forms = replace(own_forms(one, effect_id), steps=frozenset(), angles=frozenset())  # as of `odds_of`
     in_its_place = remainder_of(bare, family, one.remainder.parts, forms)
-    return lost + one.remainder.gained - in_its_place.gained >= PLAINLY
+    return lost + one.remainder.gained - in_its_place.gained >= settings.nats_plainly
 
 
 def proven(

@@ -369,4 +369,4 @@ def test_an_effect_that_is_there_is_plainly_needed_and_one_that_is_not_there_is_
     more = next(t for t in tried_on(built.final, built.possible) if t.effect.id == "sensor_gain")
     both = explain(built.start, built.final, more, built.family)
     assert both is not None and both.ids == ("joint_backlash", "sensor_gain")
-    assert [plainly_needed(both, i, built.family) for i in both.ids] == [True, False]
+    assert [plainly_needed(both, i, built.family, SETTINGS) for i in both.ids] == [True, False]
