@@ -34,7 +34,7 @@ class Offsets:
     seen: Observation
     large: Array
     large_seen: Observation
-    without: float = 0.0
+    without: float
 
 
 def judge_offset(o: Offsets) -> list[Item]:

@@ -14,7 +14,7 @@ from ..model import Estimate, Term, total_displacement
 from ..typing import Array
 from .absolute import completed
 from .observe import Observation
-from .system import System, linearise, moved_to, solve, with_values
+from .system import System, linearise, moved_to, solve, values_of, with_values
 
 MAX_DERIVATIVES = 20  # of the displacement, each of which costs several times as much as the displacement itself
 MAX_STEPS = 60
@@ -86,7 +86,7 @@ def fitted(
             system, is_here, derivatives = linearise(terms, observation, moved), True, derivatives + 1
         elif not is_here:
             system = moved_to(system, terms, observation, moved)
-        now = _values(terms, system)
+        now = values_of(terms, system)
         if not np.isfinite(loss):
             loss = _loss(moved, observation, now, prior_width)
         step = solve(system, prior_width=prior_width) - now
@@ -129,12 +129,6 @@ def _iterates(terms: Sequence[Term], observation: Observation) -> bool:
         return True  # the weight bends springs too, which is no part of the derivative
     scene = observation.scene
     return any(t.effect.acts_on == "wrench" or follows_springs(t.effect, scene) or _nonlinear(t, observation) for t in terms)
-
-
-def _values(terms: Sequence[Term], system: System) -> Array:
-    """Present values, scaled, counted from the system's centre."""
-    at = [terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)]
-    return np.array(at) / system.scale - system.centre
 
 
 def _loss(moved: Array, observation: Observation, x: Array, prior_width: Array | None) -> float:

@@ -60,49 +60,50 @@ def linearise(terms: Sequence[Term], observation: Observation, moved: Array | No
     scene = observation.scene
     ready = prepared(terms, scene)
     moved = total_displacement(terms, scene, ready) if moved is None else moved
-    blocks, parameters, owner, values = [], [], [], []
+    blocks, parameters, owner = [], [], []
     for i, (term, block) in enumerate(zip(terms, regressors(terms, scene, ready), strict=True)):
         own = parameters_of(term.effect, scene)
         free = term.free(own)
         blocks.append(block[:, :, free])
         parameters += [own[j] for j in free]
         owner += [i] * len(free)
-        values += list(term.theta(own)[free])
     if not parameters:
         raise SolveError("the model has no parameter that this session could determine")
     scale = np.array([p.scale for p in parameters])
     A_rows = observation.of(np.concatenate(blocks, axis=2)) * scale
-    A = observation.whiten(A_rows).reshape(-1, len(parameters))
-    residual = observation.whiten(observation.y - observation.of(moved)).ravel()
-    x = np.array(values) / scale
-    centre = np.where([p.flat for p in parameters], x, 0.0)
-    return System(
-        A=A,
-        b=residual + A @ (x - centre),
+    at_none = System(
+        A=observation.whiten(A_rows).reshape(-1, len(parameters)),
+        b=np.zeros(0),
         scale=scale,
         parameters=tuple(parameters),
         owner=tuple(owner),
-        lower=np.array([p.lower for p in parameters]) / scale - centre,
-        upper=np.array([p.upper for p in parameters]) / scale - centre,
-        centre=centre,
+        lower=np.array([p.lower for p in parameters]) / scale,
+        upper=np.array([p.upper for p in parameters]) / scale,
+        centre=np.zeros(len(parameters)),
         pose=np.repeat(observation.pose, 3),
     )
+    return moved_to(at_none, terms, observation, moved)
 
 
 def moved_to(system: System, terms: Sequence[Term], observation: Observation, moved: Array) -> System:
-    """The same equations about other values of the terms, with the derivatives of before.
+    """The equations about the values of the terms, with the derivatives that they have.
 
     Args:
         moved: displacement by the terms in each row of the session, (n, 3), m.
     """
-    values = [terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)]
-    x = np.array(values) / system.scale
+    x = values_of(terms, system) + system.centre
     centre = np.where([p.flat for p in system.parameters], x, 0.0)
     residual = observation.whiten(observation.y - observation.of(moved)).ravel()
     away = centre - system.centre
     return replace(
         system, b=residual + system.A @ (x - centre), lower=system.lower - away, upper=system.upper - away, centre=centre
     )
+
+
+def values_of(terms: Sequence[Term], system: System) -> Array:
+    """Present values of the parameters, scaled, counted from the system's centre, (p,)."""
+    at = [terms[i].estimates[p.name].value for i, p in zip(system.owner, system.parameters, strict=True)]
+    return np.array(at) / system.scale - system.centre
 
 
 def solve(system: System, rows: BoolArray | None = None, prior_width: Array | None = None) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import improve
-from irec_calibration.diagnose.priors import FACTORS, FORM_LEVELS, choices, log_odds_of_form
+from irec_calibration.diagnose.priors import FACTORS, FORM_LEVELS, choices, level_of_form, log_odds_of_form
 from irec_calibration.diagnose.study import Study, completed_study, prepare
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
@@ -128,6 +128,14 @@ def test_a_tool_and_the_place_of_bending_are_given_their_sizes_together_before_e
         ("joint_torsion",), ("bending_place", "tool_compliance"), ("bending_place",), ("tool_compliance",),
     ]  # fmt: skip
     assert asked("joint_torsion", "bending_place", "sensor_gain") == [("joint_torsion",), ("bending_place",), ("sensor_gain",)]
+
+
+@pytest.mark.parametrize(
+    ("likely", "level"), [((1.0,), 1.0), ((0.125, 8.0), 1.0), ((0.25, 0.5, 1.0, 2.0), np.sqrt(0.5)), ((0.0625,), 0.0625)]
+)
+def test_the_level_is_the_mean_of_the_logarithms_of_those_that_are_likely(likely: tuple[float, ...], level: float) -> None:
+    log_evidence = np.where(np.isin(FORM_LEVELS, likely), -1000.0, -1100.0)
+    assert level_of_form(log_evidence) == pytest.approx(level)
 
 
 def test_together_every_pair_of_sizes_is_tried_a_usual_place_likelier_than_others():

@@ -339,7 +339,7 @@ def offsets(share: Callable[[np.ndarray], np.ndarray] | None = None, largest: fl
         went = np.c_[share(slow)[:, None] * offset, np.zeros((400, 3)), np.ones(400)]
         return Observation({"robot/state": stream(state, told), "tcp_pose": stream(slow, went)})
 
-    return Offsets(SMALL, 60.0, 62.0, seen(SMALL), np.array([0, 0, 0.1]), seen(np.array([0, 0, largest])))
+    return Offsets(SMALL, 60.0, 62.0, seen(SMALL), np.array([0, 0, 0.1]), seen(np.array([0, 0, largest])), without=0.004)
 
 
 def test_a_true_driver_passes_the_offset() -> None:
