@@ -22,6 +22,7 @@ WIDTHS = (0.1, 0.17, 0.235, 0.28, 0.33, 0.39, 0.46, 0.55, 0.66)  # of the travel
 TILTS = [DOF.index("r_x"), DOF.index("r_y")]
 SHAPE = 3  # parameters, the last: s_0, w, posts
 SHORTEST = 0.1  # m, of a travel
+NARROWEST = 0.3  # m, of a soft place; a carriage stands on more of the rail than that
 CLOSEST_POSTS = 0.4  # m; a rail on posts that stand closer is carried alike everywhere
 FURTHEST = 100.0  # m from 0, of a place on a rail whose travel is not known
 
@@ -55,13 +56,13 @@ class RailCompliance(Effect):
             for d in SPRINGS
             for name in (d, f"{d}_soft")
         )  # fmt: skip
-        widths = tuple(share * travel for share in WIDTHS)
+        widths = tuple(dict.fromkeys(max(share * travel, NARROWEST) for share in WIDTHS))
         # rows of one position, as where a model comes into force, tell no travel that the place would have to be within
         within = (low - travel, high + travel) if high > low else (-FURTHEST, FURTHEST)
         return (
             *springs,
             Parameter("s_0", "m", travel, *within, start=places[len(places) // 2], grid=places),
-            Parameter("w", "m", travel, 1e-3, 100.0, start=widths[0], grid=widths),
+            Parameter("w", "m", travel, NARROWEST, 100.0, start=widths[0], grid=widths),
             Parameter("posts", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0), kinds=True),
         )
 

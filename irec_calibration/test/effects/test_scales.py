@@ -153,6 +153,15 @@ def test_the_softest_place_of_a_rail_is_where_it_says():
     assert size[near & (scene.load_case > 0)].min() > 1e3 * size[far].max()
 
 
+@pytest.mark.parametrize("travel", [0.5, 2.0, 6.0])
+def test_a_soft_place_of_a_rail_is_looked_for_no_narrower_than_a_carriage_is(travel: float) -> None:
+    scene = scene_of(session(4, seed=1))
+    scene = replace(scene, ext={"rail": np.linspace(0.0, travel, len(scene))})
+    width = next(p for p in find_effect("rail_compliance").parameters(scene) if p.name == "w")
+    assert width.lower == 0.3
+    assert min(width.grid) >= 0.3
+
+
 def test_a_rail_on_posts_is_softest_in_the_middle_between_any_two():
     scene = scene_of(session(25, seed=1))
     along = np.repeat(np.linspace(-1.0, 2.0, 25), 6)
