@@ -128,7 +128,7 @@ def _exchanged_reference(session: Session, nominal: dict[int, Array]) -> Iterato
 def deflection(session: Session) -> tuple[list[str], list[str]]:
     """The deflection against the force: along it, of the size that drives give, mostly proportional to it; doubts and notes."""
     reference = session.reference_row()
-    seen = session.marker_seen
+    seen = session.marker_seen & session.on_tool  # a marker on the base does not move with the arm
     rows = np.flatnonzero((session.load_case != 0) & seen & seen[reference])
     if len(rows) < 3:
         return _without_work(session)

@@ -75,7 +75,7 @@ def pairs_of(session: Session, deflection: Array, R_tool: Array) -> Pairs:
         deflection: marker in base_link less where the controller has it, (n, 3), m; NaN where it was not seen.
         R_tool: rotation of tool0 into base_link, (n, 3, 3).
     """
-    loaded = np.flatnonzero((session.load_case != 0) & session.marker_seen)
+    loaded = np.flatnonzero((session.load_case != 0) & session.marker_seen & session.on_tool)
     key = np.stack([session.pose, session.repeat, session.marker, session.station], axis=1)[loaded]
     group = np.unique(key, axis=0, return_inverse=True)[1].reshape(-1) if len(loaded) else np.zeros(0, dtype=np.int64)
     order = np.argsort(group, kind="stable")

@@ -141,6 +141,18 @@ def test_markers_on_the_base_that_most_readings_are_of_are_no_doubt():
     assert doubts(replace(session, p_tcp_in_base=session.robot.kinematics(session.q).p_tcp)) == ()
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_markers_on_the_base_of_a_loaded_session_are_no_doubt(count):
+    rows = np.repeat(np.arange(len(LOADED)), 1 + count)
+    marker = np.tile(np.arange(1 + count), len(LOADED))
+    on_base = tuple(Marker(f"B{k}", "base_link", (0.3, 0.1 * k, 0.2)) for k in range(count))
+    session = replace(LOADED.select(rows), marker=marker, markers=(*LOADED.markers, *on_base))
+    at = session.stations[0]
+    seen = (np.array([m.xyz for m in session.markers])[marker] - at.xyz) @ at.R_in_base
+    seen += np.random.default_rng(1).normal(0.0, 1e-5, seen.shape)
+    assert doubts(replace(session, p_marker_in_station=np.where(marker[:, None] > 0, seen, session.p_marker_in_station))) == ()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_missing_effect_or_bad_rows_are_no_doubt(seed):
     def counterforce(scene):
