@@ -44,7 +44,8 @@ FAULTS = (
     Fault("tracker frozen", DRIVER, r"tracker/point: .*repeated to the last bit|does the tracker repeat a held point"),
     Fault("force saturated", DRIVER, r"limit 1600 N|its range is|wrench"),
     Fault("force biased", DRIVER,
-          r"before contact the wrench reads|wrench reads wrongly|left its set point|wrong sign|off its set point|does not follow",
+          r"(before|out of) contact the wrench reads|wrench reads wrongly|left its set point|wrong sign|off its set point"
+          r"|does not follow",
           harmless=True, persists=True),
     Fault("force NaN", DRIVER, r"wrench: the force is \(nan"),
     Fault("force silent", DRIVER, r"no force readings|wrench is silent", persists=True),

@@ -236,7 +236,7 @@ class ProcedureSide:
             if name == "mode refused":
                 self._goal.cancel_goal_async()
             try:
-                s.until(lambda: self._result is not None, "the run's verdict", 30.0)
+                s.until(lambda: self._result is not None, "the run's verdict", END)
             except NotReached:
                 if not fault.harmless:
                     raise

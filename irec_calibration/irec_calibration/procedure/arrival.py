@@ -181,7 +181,11 @@ def _judge_unloaded(p: Procedure, beside: Array, silent: bool) -> None:
         )
         p.discard(problem)
     if size > touch_limit(p):
-        p.stop(problem or f"out of contact the wrench reads {newtons(read)} N, limit {touch_limit(p):.0f} N")
+        p.stop(
+            problem
+            or f"out of contact the wrench reads {newtons(read)} N, limit {touch_limit(p):.0f} N: has the sensor's bias changed,"
+            " or does something touch the tool?"
+        )
     if not silent and not problem and (problem := free_way_problem(p)):
         p.discard(problem)
         p.stop(problem)
