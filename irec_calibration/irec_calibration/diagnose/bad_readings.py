@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..identification.bad_rows import BadRow
+from ..identification.force_readings import NOTE as OF_FORCES
 from ..identification.marker_noise import NOTE as BY_MARKER
 from ..session.data import Session
 from ..typing import Json
@@ -56,8 +57,9 @@ def one_note_each(notes: Sequence[str], bad: Sequence[BadRow], aside: Sequence[P
     new = {str(b): "" if known & set(b.rows) else f"{b}, beside what was added" for b in later if str(b) not in true}
     told = dict.fromkeys(true.get(n, new.get(n, n)) for n in notes)
     by_marker = [n for n in told if n.startswith(BY_MARKER)]
-    of_sag = [n for n in told if n.startswith(OF_SAG)]  # the last model is the best one
-    return tuple(n for n in told if n and n not in by_marker[1:] and n not in of_sag[:-1])
+    of_best = (OF_SAG, OF_FORCES)  # the last model is the best one
+    earlier = [n for begin in of_best for n in [t for t in told if t.startswith(begin)][:-1]]
+    return tuple(n for n in told if n and n not in by_marker[1:] and n not in earlier)
 
 
 def rows_json(session: Session, bad: Sequence[BadRow], aside: Sequence[Part]) -> tuple[Json, ...]:

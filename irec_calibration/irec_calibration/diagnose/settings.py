@@ -8,24 +8,17 @@ from dataclasses import dataclass
 from ..declared import Thresholds, threshold
 from ..identification.settings import (
     ABSOLUTE,
+    FORCES,
     IDENTIFIABILITY,
     OUTLIERS,
+    READINGS,
     AbsoluteThresholds,
+    ForceThresholds,
     IdentifiabilityThresholds,
     OutlierThresholds,
+    ReadingsThresholds,
 )  # fmt: skip
 from ..identification.validation import FEWEST_POSES
-
-
-@dataclass(frozen=True)
-class ReadingsThresholds(Thresholds):
-    """What readings at the references, where nothing touches the tool, are held against."""
-
-    mass_kg: float = threshold(
-        5.0, "kg", "standard deviation of a wrong tool mass before it is looked at", "chosen: a gripper or a spindle more or less"
-    )
-    bias_n: float = threshold(20.0, "N", "standard deviation of a bias of the sensor", "chosen: drift since it was zeroed")
-    fewest: int = threshold(3, "references", "with fewer a bias is not told from a mass", "three components of a bias")
 
 
 @dataclass(frozen=True)
@@ -346,7 +339,8 @@ class Settings(Thresholds):
         3.0, "times the typical residual", "of a pose or load case that is said to stand out", "three standard deviations",
     )  # fmt: skip
 
-    readings: ReadingsThresholds = ReadingsThresholds()
+    readings: ReadingsThresholds = READINGS
+    forces: ForceThresholds = FORCES
     lasting: LastingThresholds = LastingThresholds()
     flexible: FlexibleThresholds = FlexibleThresholds()
     proposed: ProposalThresholds = ProposalThresholds()

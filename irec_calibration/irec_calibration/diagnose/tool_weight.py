@@ -13,6 +13,8 @@ import numpy as np
 
 from ..effects import CATALOGUE, Evidence
 from ..effects.scene import Scene
+from ..identification.settings import READINGS
+from ..identification.tool_weight import at_references
 from ..identification.validation import rms
 from ..typing import Array
 from .evidence import Bench, Block, Posterior
@@ -43,27 +45,21 @@ class Readings:
 
 def reference_readings(scene: Scene, force_noise: float) -> Readings | None:
     """Test the readings at the references of a loaded session; None where there are too few of them, or nothing weighs."""
-    rows = np.unique(scene.reference[scene.reference >= 0])
-    if len(rows) < SETTINGS.readings.fewest or force_noise <= 0.0 or not np.any(scene.gravity_in_base):
+    found = at_references(scene, force_noise)
+    if found is None:
         return None
-    force = scene.force_in_tool[rows]
-    weight = np.einsum("nji,j->ni", scene.kin.R_tool[rows], scene.gravity_in_base)
-    bench = Bench((force / force_noise).ravel(), np.repeat(scene.pose[rows], 3))
-    mass = _block(weight.ravel()[:, None], force_noise, SETTINGS.readings.mass_kg)
-    bias = _block(np.tile(np.eye(3), (len(rows), 1)), force_noise, SETTINGS.readings.bias_n)
+    bench = Bench((found.force / force_noise).ravel(), np.repeat(scene.pose[found.rows], 3))
+    mass = _block(found.per_kg.ravel()[:, None], force_noise, READINGS.mass_kg)
+    bias = _block(np.tile(np.eye(3), (len(found.rows), 1)), force_noise, READINGS.bias_n)
     nothing = _nothing(bench)
     by_mass = bench.posterior(mass, FACTORS, slice(0, 1))
     by_bias = bench.posterior(bias, FACTORS, slice(0, 3))
     by_both = bench.posterior(bias + mass, FACTORS, slice(0, 4))
     with_mass = max((by_mass, by_both), key=lambda p: p.log_evidence)
-    dm = float(with_mass.x[-1] * SETTINGS.readings.mass_kg)
-    spread = max(with_mass.chi2 / len(bench.b), 1.0)
-    se = float(np.sqrt(spread) * force_noise / np.linalg.norm(weight))
-    left = rms(force)
-    after = float(np.sqrt(with_mass.chi2 / len(rows)) * force_noise)
-    b = by_bias.x * SETTINGS.readings.bias_n
+    after = float(np.sqrt(with_mass.chi2 / len(found.rows)) * force_noise)
+    b = by_bias.x * READINGS.bias_n
     return Readings(
-        dm, se, with_mass.log_evidence - max(by_bias.log_evidence, nothing), left, after,
+        found.mass, found.mass_se, with_mass.log_evidence - max(by_bias.log_evidence, nothing), rms(found.force), after,
         (float(b[0]), float(b[1]), float(b[2])), by_bias.log_evidence - nothing,
     )  # fmt: skip
 
@@ -72,12 +68,12 @@ def odds_at_references(scene: Scene, force_noise: float, mass: float, mass_se: f
     """Log odds that the readings at the references hold a wrong mass of this value and error, kg, over that they hold noise or a
     constant bias only, or, where that is far from it, the mass that they show; 0 where there are too few of them."""
     rows = np.unique(scene.reference[scene.reference >= 0])
-    if len(rows) < SETTINGS.readings.fewest or force_noise <= 0.0:
+    if len(rows) < READINGS.fewest or force_noise <= 0.0:
         return 0.0
     weight = np.einsum("nji,j->ni", scene.kin.R_tool[rows], scene.gravity_in_base).ravel()
     read, pose = scene.force_in_tool[rows].ravel(), np.repeat(scene.pose[rows], 3)
     bench, left = (Bench(f / force_noise, pose) for f in (read, read - mass * weight))
-    bias = _block(np.tile(np.eye(3), (len(rows), 1)), force_noise, SETTINGS.readings.bias_n)
+    bias = _block(np.tile(np.eye(3), (len(rows), 1)), force_noise, READINGS.bias_n)
     off = _block(weight[:, None], force_noise, max(mass_se, 1e-12))
     with_it = max((left.posterior(b) for b in (off, off + bias)), key=lambda p: p.log_evidence)
     odds = with_it.log_evidence - max(bench.posterior(bias).log_evidence, _nothing(bench))

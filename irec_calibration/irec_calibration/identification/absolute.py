@@ -21,6 +21,7 @@ from ..session.data import Session
 from ..typing import Array, IntArray
 from .observe import Observation
 from .settings import ABSOLUTE
+from .tool_weight import as_read
 
 
 def base_terms() -> tuple[Term, ...]:
@@ -29,14 +30,14 @@ def base_terms() -> tuple[Term, ...]:
 
 
 def completed(terms: Sequence[Term], observation: Observation) -> tuple[Term, ...]:
-    """Terms of an absolute session with what every model of it needs; terms of a loaded session as they are.
+    """Terms of an absolute session with what every model of it needs; those of a loaded session with what its references show.
 
     Unknown stations and markers get their terms, and these every station and marker of the session, whichever they named
     before (of a model of another session; a reflector that was found to be seated anew). An effect that is `chosen_by_poses`,
     without values, gets those parameters that the poses determine.
     """
     if observation.session.kind != "absolute":
-        return tuple(terms)
+        return tuple(as_read(t, observation) for t in terms)
     present = {t.effect.id for t in terms}
     registering = [find_effect(e) for e in GEOMETRIC]
     out = [Term(e) for e in registering if e.registers and e.id not in present and e.parameters(observation.scene)] + list(terms)

@@ -20,6 +20,7 @@ from ..robot.ratings import rated_torque, rating_known
 from ..session.data import Session
 from ..typing import Array, BoolArray
 from .absolute import base_terms, completed, near_pairs, noted, repeating, with_better_joints
+from .force_readings import scatter, without_noise
 from .gauss_newton import SETTLED, Minimum, fitted
 from .identifiability import identifiability
 from .marker_noise import by_marker
@@ -153,8 +154,13 @@ def observe_with_force_noise(
         return by_marker(replace(noted(first, note), repeating=note) if note else first, residual)
     if session.noise.force_n <= 0.0 or not any(t.effect.elastic for t in terms):
         return first
-    springs = fitted([t for t in terms if t.effect.elastic], first).terms
-    return again(whole.with_force_noise(elastic_response(springs, first.scene).compliance[:, :, :3]), first)
+    springs = fitted([t for t in terms if t.effect.elastic], first)
+    compliance = elastic_response(springs.terms, first.scene).compliance[:, :, :3]
+    found = scatter(first, first.y - first.of(springs.moved), compliance)
+    if found is not None and (found.followed < 1.0).any():
+        whole = observe(without_noise(whole.session, found)).seeing(sag_share)
+        first = replace(first, session=replace(first.session, notes=(*first.session.notes, whole.session.notes[-1])))
+    return again(whole.with_force_noise(compliance), first)
 
 
 def _whole(session: Session) -> Observation:

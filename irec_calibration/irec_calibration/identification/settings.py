@@ -143,6 +143,34 @@ class OutlierThresholds(Thresholds):
     nest_m: float = threshold(0.02, "m", "further off, another nest is likelier than a knock", "chosen: the size of a reflector")
 
 
+@dataclass(frozen=True)
+class ForceThresholds(Thresholds):
+    """What the scatter of force readings within a load case is taken for."""
+
+    fewest: int = threshold(5, "poses", "of a load case, for its readings to have a usual value", "a median of fewer is any")
+    outside: float = threshold(6.0, "robust standard deviations", "beyond which a reading is no scatter", "an accident, or meant")
+    believed: float = threshold(
+        0.5, "share of the scatter", "standard deviation of the share that is noise, about what the session states",
+        "stated within a factor of two",
+    )  # fmt: skip
+    factor: float = threshold(2.0, "times", "the stated noise that readings have at most", "stated within a factor of two")
+    least: float = threshold(0.2, "share of the scatter", "that may be noise, below which none is left out", "it is little")
+    rounds: int = threshold(4, "rounds", "of finding that share, and the rows that have other causes", "it settles in three")
+
+
+@dataclass(frozen=True)
+class ReadingsThresholds(Thresholds):
+    """What readings at the references, where nothing touches the tool, are held against."""
+
+    mass_kg: float = threshold(
+        5.0, "kg", "standard deviation of a wrong tool mass before it is looked at", "chosen: a gripper or a spindle more or less"
+    )
+    bias_n: float = threshold(20.0, "N", "standard deviation of a bias of the sensor", "chosen: drift since it was zeroed")
+    fewest: int = threshold(3, "references", "with fewer a bias is not told from a mass", "three components of a bias")
+
+
 IDENTIFIABILITY = IdentifiabilityThresholds()
 ABSOLUTE = AbsoluteThresholds()
 OUTLIERS = OutlierThresholds()
+READINGS = ReadingsThresholds()
+FORCES = ForceThresholds()

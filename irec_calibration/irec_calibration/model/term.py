@@ -25,6 +25,7 @@ class Estimate:
     Attributes:
         se: standard error, in the parameter's unit; NaN where only a combination with others is known or none was computed.
         identified: the single value is known, not only a combination.
+        held: known from elsewhere, displacements being blind to it; a fit leaves it as it is.
     """
 
     value: float
@@ -33,6 +34,7 @@ class Estimate:
     lower: float = -math.inf
     upper: float = math.inf
     identified: bool = True
+    held: bool = False
 
     def __str__(self) -> str:
         error = f" +- {self.se:.2g}" if math.isfinite(self.se) else ""
@@ -72,9 +74,10 @@ class Term:
 
     def free(self, parameters: Sequence[Parameter]) -> list[int]:
         """Indices of the parameters that a fit may change: those that the term names (all where it names none), without a
-        grid."""
+        grid, and not held."""
         named = {p.name for p in parameters} & set(self.estimates)
-        return [i for i, p in enumerate(parameters) if not p.grid and (not named or p.name in named)]
+        held = {n for n, e in self.estimates.items() if e.held}
+        return [i for i, p in enumerate(parameters) if not p.grid and p.name not in held and (not named or p.name in named)]
 
 
 def as_known(value: float, se: float) -> str:

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much of the scatter of force readings within a load case is force, and how much the sensor's noise.
+
+A load case is meant to press alike in all poses. Where a reading differs from what is usual in its load case, either the force
+did or the sensor erred. In the first case the arm follows the difference, in the second it does not, and a model that is
+evaluated at the reading is wrong by what it says of that difference: structure that follows the force and has no cause in the
+robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..session.data import Session
+from ..typing import Array, IntArray
+from .observe import Observation
+from .settings import FORCES
+
+NOTE = "force readings differ by "  # how a note of it begins
+TO_NORMAL = 1.4826  # standard deviations of a normal distribution in its median absolute deviation
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Readings against what is usual in their load case.
+
+    Attributes:
+        off: change of the force against the reference, less the median of its load case, in tool0, (n, 3), N; 0 in references,
+            and where it is further off than scatter is.
+        sd: robust standard deviation along each axis of tool0, (3,), N.
+        followed: share of it that the arm follows, 0 to 1, in tenths, (3,).
+    """
+
+    off: Array
+    sd: Array
+    followed: Array
+
+
+def scatter(observation: Observation, residual: Array, compliance: Array) -> Scatter | None:
+    """What the residual of a first fit says of the scatter of the force readings; None where they have none.
+
+    Args:
+        observation: of a loaded session.
+        residual: of a fit of springs to it, (m, 3), m.
+        compliance: displacement of the marker by force in tool0, of all rows of the session, (n, 3, 3), m/N.
+    """
+    session = observation.session
+    if session.kind != "loaded" or session.contact is not None or session.noise.force_n <= 0.0:
+        return None
+    off = _off_its_load_case(session, observation.scene.reference)
+    known = off[observation.rows]
+    known = known[np.abs(known).max(axis=1) > 0.0]
+    if not len(known):
+        return None
+    sd = np.maximum(TO_NORMAL * np.median(np.abs(known), axis=0), 1e-12)
+    off = np.where((np.abs(off) > FORCES.outside * sd).any(axis=1, keepdims=True), 0.0, off)
+    stated = np.minimum(2.0 * session.noise.force_n**2 / sd**2, 1.0)  # share of noise in it, by what the session states
+    by_reading = observation.of(compliance * off[:, None, :])
+    most, believed = np.minimum(FORCES.factor**2 * stated, 1.0), np.full(3, FORCES.believed**-2)
+    noise = stated
+    for _ in range(FORCES.rounds):
+        left = np.linalg.norm(residual + by_reading @ noise, axis=1)
+        weight = 1.0 / np.maximum(left, 2.0 * np.median(left)) ** 2  # bad rows count for less
+        per_row = weight / max(float(np.sum(weight * left**2)) / (3.0 * len(left)), 1e-30)
+        told = np.einsum("m,mij,mik->jk", per_row, by_reading, by_reading)
+        seen = -np.einsum("m,mij,mi->j", per_row, by_reading, residual)
+        noise = np.clip(np.linalg.solve(told + np.diag(believed), seen + believed * stated), 0.0, most)
+    return Scatter(off, sd, np.where(most < FORCES.least, 1.0, 1.0 - np.round(10.0 * noise) / 10.0))
+
+
+def _off_its_load_case(session: Session, reference: IntArray) -> Array:
+    """See `Scatter.off`, (n, 3), N."""
+    off = np.zeros_like(session.force_in_tool)
+    change = session.force_in_tool - session.force_in_tool[np.maximum(reference, 0)]
+    for case in np.unique(session.load_case[session.load_case != 0]):
+        of_case = session.load_case == case
+        if len(np.unique(session.pose[of_case])) >= FORCES.fewest:
+            off[of_case] = change[of_case] - np.median(change[of_case], axis=0)
+    return off
+
+
+def without_noise(session: Session, found: Scatter) -> Session:
+    """A session with forces that are as far from their load case's as the arm follows, and the noise that is left in them."""
+    force = session.force_in_tool - (1.0 - found.followed) * found.off
+    left = np.maximum(found.followed * (1.0 - found.followed), 1.0 / max(len(session.poses), 1)) * found.sd**2
+    noise = replace(session.noise, force_n=min(session.noise.force_n, float(np.sqrt(0.5 * left.mean()))))
+    sizes, shares = ", ".join(f"{v:.2g}" for v in found.sd), ", ".join(f"{100 * v:.0f}" for v in found.followed)
+    note = (
+        f"{NOTE}{sizes} N along x, y, z of tool0 within a load case, and the arm follows {shares} % of that: the"
+        " rest is taken for the sensor's noise and left out"
+    )
+    return replace(session, force_in_tool=force, noise=noise, notes=(*session.notes, note))
