@@ -290,7 +290,9 @@ def as_in_every_robot(study: Study, left: float, noise: InferredNoise, settings:
     """The size of structure, m, where it is no larger than what gears of every robot leave; else 0."""
     if study.ready.kind != "loaded":
         return 0.0
-    moved = rms(study.observation.of(total_displacement(study.terms, study.observation.scene)))
+    observation = study.observation
+    on_tool = observation.session.on_tool[observation.rows]  # what is left is of all markers, those on the base hardly move
+    moved = rms(observation.of(total_displacement(study.terms, observation.scene))[on_tool]) if on_tool.any() else 0.0
     return left if left <= min(settings.usual_structure * moved, settings.usual_beside_noise * noise.inferred_m) else 0.0
 
 

@@ -27,8 +27,8 @@ class Scatter:
     """Readings against what is usual in their load case.
 
     Attributes:
-        off: change of the force against the reference, less the median of its load case, in tool0, (n, 3), N; 0 in references,
-            and where it is further off than scatter is.
+        off: change of the force against the reference, less what is usual in its load case, in tool0, (n, 3), N; 0 in
+            references, and where it is further off than scatter is.
         sd: robust standard deviation along each axis of tool0, (3,), N.
         followed: share of it that the arm follows, 0 to 1, in tenths, (3,).
     """
@@ -62,7 +62,7 @@ def scatter(observation: Observation, residual: Array, compliance: Array) -> Sca
     noise = stated
     for _ in range(FORCES.rounds):
         left = np.linalg.norm(residual + by_reading @ noise, axis=1)
-        weight = 1.0 / np.maximum(left, 2.0 * np.median(left)) ** 2  # bad rows count for less
+        weight = np.maximum(left, max(2.0 * float(np.median(left)), 1e-12)) ** -2  # bad rows count for less
         per_row = weight / max(float(np.sum(weight * left**2)) / (3.0 * len(left)), 1e-30)
         told = np.einsum("m,mij,mik->jk", per_row, by_reading, by_reading)
         seen = -np.einsum("m,mij,mi->j", per_row, by_reading, residual)
@@ -72,13 +72,37 @@ def scatter(observation: Observation, residual: Array, compliance: Array) -> Sca
 
 def _off_its_load_case(session: Session, reference: IntArray) -> Array:
     """See `Scatter.off`, (n, 3), N."""
-    off = np.zeros_like(session.force_in_tool)
     change = session.force_in_tool - session.force_in_tool[np.maximum(reference, 0)]
-    for case in np.unique(session.load_case[session.load_case != 0]):
-        of_case = session.load_case == case
-        if len(np.unique(session.pose[of_case])) >= FORCES.fewest:
-            off[of_case] = change[of_case] - np.median(change[of_case], axis=0)
+    cases = [c for c in np.unique(session.load_case) if c != 0]
+    cases = [c for c in cases if len(np.unique(session.pose[session.load_case == c])) >= FORCES.fewest]
+    middle = {c: np.median(change[session.load_case == c], axis=0) for c in cases}
+    if not cases:
+        return np.zeros_like(change)
+    sd = TO_NORMAL * np.median(np.concatenate([np.abs(change[session.load_case == c] - middle[c]) for c in cases]), axis=0)
+    usual = _usual(session, change, middle, np.maximum(sd, 1e-12))
+    off = np.zeros_like(change)
+    for c in cases:
+        of_case = session.load_case == c
+        off[of_case] = change[of_case] - usual[c]
     return off
+
+
+def _usual(session: Session, change: Array, middle: dict[int, Array], sd: Array) -> dict[int, Array]:
+    """What a load case usually reads, (3,), N: the mean of its readings, nearer to what it was meant to be, but for one gain of
+    all load cases, where these means agree with that better (James and Stein)."""
+    mean: dict[int, Array] = {}
+    se: dict[int, Array] = {}
+    for c, at in middle.items():
+        samples = np.unique(np.column_stack([session.pose, session.repeat, change])[session.load_case == c], axis=0)[:, 2:]
+        near = samples[(np.abs(samples - at) <= FORCES.outside * sd).all(axis=1)]
+        mean[c], se[c] = (near.mean(axis=0), sd / np.sqrt(len(near))) if len(near) else (at, sd)
+    meant = {c: np.array(session.load_cases[c]) for c in middle if np.any(session.load_cases.get(c, (0.0, 0.0, 0.0)))}
+    if not meant:
+        return mean
+    gain = sum(float(mean[c] @ f) for c, f in meant.items()) / sum(float(f @ f) for f in meant.values())
+    chi2 = sum(float((((mean[c] - gain * f) / se[c]) ** 2).sum()) for c, f in meant.items())
+    kept = max(1.0 - (3 * len(meant) - 1) / max(chi2, 1e-30), 0.0)
+    return mean | {c: gain * f + kept * (mean[c] - gain * f) for c, f in meant.items()}
 
 
 def without_noise(session: Session, found: Scatter) -> Session:
