@@ -14,6 +14,7 @@ from ..identification.observe import Observation
 from .build import Built, Look, build
 from .explanation import Explanation, in_one_pose
 from .family import Family, family_of
+from .guessed import guessed
 from .knocked import without_knocked
 from .level import at_level_beside, log_evidence_beside, noise_left
 from .remainder import grow
@@ -80,7 +81,7 @@ def _log_odds(one: Explanation) -> float:
 def built_again(asked: Study, study: Study, check: Callable[[], None], say: Callable[[str], None]) -> tuple[Study, Study, Built]:
     """A model built from the effects of the catalogue; where it asks to see the session otherwise, everything is weighed again.
 
-    Each way to see it otherwise (SEEN) is followed once.
+    Each way to see it otherwise (SEEN) is followed once. Effects that are `guessed` are left out then.
 
     Args:
         asked: the model that was asked for; study: with what completes its springs.
@@ -91,6 +92,7 @@ def built_again(asked: Study, study: Study, check: Callable[[], None], say: Call
     """
     open_ = dict(SEEN)
     found = ""
+    without: dict[str, str] = {}
 
     def look(one: Explanation, family: Family) -> Observation | None:
         nonlocal found
@@ -102,9 +104,14 @@ def built_again(asked: Study, study: Study, check: Callable[[], None], say: Call
         return None
 
     while True:
-        built = build(study, check, look)
+        built = build(study, check, look, without=without)
         if built.seen is None:
-            return asked, study, built
+            guesses = guessed(built)
+            if not guesses:
+                return asked, study, built
+            say(f"weighing the effects again without {', '.join(guesses)}")
+            without |= guesses
+            continue
         say(f"weighing the effects again {found}")
         del open_[found]
         asked = replace(study_of(built.seen, asked.terms), apart=asked.apart)

@@ -9,8 +9,9 @@ generic family describes as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
@@ -221,14 +222,19 @@ class _Way:
         return found
 
 
-def build(study: Study, check: Check = lambda: None, look: Look = lambda *_: None, settings: Settings = SETTINGS) -> Built:
+def build(
+    study: Study, check: Check = lambda: None, look: Look = lambda *_: None, settings: Settings = SETTINGS,
+    without: Mapping[str, str] = MappingProxyType({}),
+) -> Built:  # fmt: skip
     """Build a model on top of a start as far as the evidence goes.
 
     Args:
         check: raises where the work was cancelled; look: asked once before the most work, and of the result.
+        without: effects that are left out, and why.
     """
     family = family_in_view(study)
     found, skipped = options(study, check=check)
+    found, skipped = [o for o in found if o.effect.id not in without], {**skipped, **without}
     start = Explanation((), study, 0.0, grow(study.bench, family, study.base))
     way = _Way(start, family, found, tuple(tried_on(start, found)), check, look, settings, [start])
     fallen: dict[str, set[str]] = {}  # effect -> the names that stood when it fell

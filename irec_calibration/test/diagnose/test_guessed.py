@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An effect that takes up whatever each pose does by itself is left out, and the session weighed again."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import again, guessed, start_terms
+from irec_calibration.diagnose.build import build
+from irec_calibration.diagnose.part_sets import Parts
+from irec_calibration.diagnose.study import prepare
+from irec_calibration.effects.scene import Scene
+from numpy.typing import NDArray
+
+POSES = 10
+
+
+def built(count: int, kind: str = "loaded") -> Any:
+    """A built model with so many parameters of a force on the arm."""
+    study = SimpleNamespace(
+        ready=SimpleNamespace(kind=kind),
+        observation=SimpleNamespace(pose=np.repeat(np.arange(POSES), 5)),
+        owners=("joint_torsion",) * 6 + ("external_force",) * count,
+    )
+    return SimpleNamespace(final=SimpleNamespace(study=study, ids=("external_force",)), family=None, seen=None)
+
+
+@pytest.mark.parametrize(
+    ("parts", "before", "after", "kind", "guess"),
+    [
+        (Parts(perhaps=("constant",)), 40, 31, "loaded", True),
+        (Parts(one_of=(("constant",), ("with the tool",))), 40, 31, "loaded", True),
+        (Parts(perhaps=("constant",)), 40, 30, "loaded", False),
+        (Parts(proven=("constant",), perhaps=("with the tool",)), 40, 31, "loaded", False),
+        (Parts(perhaps=("constant",)), 40, 31, "absolute", False),
+    ],
+)
+def test_more_parameters_than_three_for_each_pose_are_a_guess_where_no_part_is_proven(
+    monkeypatch: pytest.MonkeyPatch, parts: Parts, before: int, after: int, kind: str, guess: bool
+) -> None:
+    pruned = SimpleNamespace(study=built(after).final.study, parts={"external_force": parts})
+    monkeypatch.setattr(guessed, "prune", lambda *_, **__: pruned)
+    assert list(guessed.guessed(built(before, kind))) == (["external_force"] if guess else [])
+
+
+def test_a_session_is_weighed_again_without_a_guess(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, str]] = []
+
+    def build_(*_: object, without: dict[str, str]) -> Any:
+        asked.append(dict(without))
+        return built(3)
+
+    monkeypatch.setattr(again, "build", build_)
+    monkeypatch.setattr(again, "guessed", lambda _: {} if len(asked) > 1 else {"external_force": "why"})
+    study: Any = None
+    again.built_again(study, study, lambda: None, lambda _: None)
+    assert asked == [{}, {"external_force": "why"}]
+
+
+def soft_tool(scene: Scene) -> NDArray[np.float64]:
+    return 6e-8 * np.einsum("nij,nj->ni", scene.kin.R_tool, scene.force_in_tool)
+
+
+def test_an_effect_that_is_left_out_is_not_built_with_and_says_why() -> None:
+    session = synthetic.session(poses=POSES, seed=5, extra=soft_tool)
+    study = prepare(session, start_terms(session)).to_weigh
+    found = build(study, without={"tool_compliance": "left out"})
+    assert "tool_compliance" in build(study).final.ids
+    assert "tool_compliance" not in found.final.ids
+    assert found.skipped["tool_compliance"] == "left out"
