@@ -19,6 +19,7 @@ from .observe import Observation
 from .settings import FORCES
 
 NOTE = "force readings differ by "  # how a note of it begins
+RIDGE = 1e-3  # of what a column is known by, which keeps those apart that a session does not tell apart
 TO_NORMAL = 1.4826  # standard deviations of a normal distribution in its median absolute deviation
 
 
@@ -57,17 +58,31 @@ def scatter(observation: Observation, residual: Array, compliance: Array) -> Sca
     sd = np.maximum(TO_NORMAL * np.median(np.abs(known), axis=0), 1e-12)
     off = np.where((np.abs(off) > FORCES.outside * sd).any(axis=1, keepdims=True), 0.0, off)
     stated = np.minimum(2.0 * session.noise.force_n**2 / sd**2, 1.0)  # share of noise in it, by what the session states
-    by_reading = observation.of(compliance * off[:, None, :])
-    most, believed = np.minimum(FORCES.factor**2 * stated, 1.0), np.full(3, FORCES.believed**-2)
-    noise = stated
+    most = np.minimum(FORCES.factor**2 * stated, 1.0)
+    columns = np.concatenate([-observation.of(compliance * off[:, None, :]), _other_causes(observation, compliance)], axis=2)
+    size = np.sqrt((columns**2).sum(axis=(0, 1))) + 1e-30
+    known = np.concatenate([np.full(3, FORCES.believed**-2), RIDGE * size[3:] ** 2 / max(float((residual**2).mean()), 1e-30)])
+    x = np.concatenate([stated, np.zeros(columns.shape[2] - 3)])
     for _ in range(FORCES.rounds):
-        left = np.linalg.norm(residual + by_reading @ noise, axis=1)
+        left = np.linalg.norm(residual - columns @ x, axis=1)
         weight = np.maximum(left, max(2.0 * float(np.median(left)), 1e-12)) ** -2  # bad rows count for less
         per_row = weight / max(float(np.sum(weight * left**2)) / (3.0 * len(left)), 1e-30)
-        told = np.einsum("m,mij,mik->jk", per_row, by_reading, by_reading)
-        seen = -np.einsum("m,mij,mi->j", per_row, by_reading, residual)
-        noise = np.clip(np.linalg.solve(told + np.diag(believed), seen + believed * stated), 0.0, most)
+        told = np.einsum("m,mij,mik->jk", per_row, columns, columns)
+        seen = np.einsum("m,mij,mi->j", per_row, columns, residual)
+        seen[:3] += known[:3] * stated
+        x = np.linalg.solve(told + np.diag(known), seen)
+    noise = np.clip(x[:3], 0.0, most)
     return Scatter(off, sd, np.where(most < FORCES.least, 1.0, 1.0 - np.round(10.0 * noise) / 10.0))
+
+
+def _other_causes(observation: Observation, compliance: Array) -> Array:
+    """What else goes with the force, in the observed rows, (m, 3, k): curves of the torque about each axis, and a sensor whose
+    channels are off. A gear that stiffens follows a change of the force less than its fitted spring does."""
+    scene = observation.scene
+    torque = scene.tau + scene.tau_gravity
+    curves = [scene.J * law(torque)[:, None, :] for law in (lambda t: t, lambda t: t * np.abs(t), lambda t: t**3)]
+    channels = [compliance * scene.force_in_tool[:, None, k, None] for k in range(3)]
+    return observation.of(np.concatenate([*curves, *channels], axis=2))
 
 
 def _off_its_load_case(session: Session, reference: IntArray) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import diagnose
+from irec_calibration.effects.scene import Scene
 from irec_calibration.identification.force_readings import scatter
 from irec_calibration.identification.identify import identify, observe_with_force_noise
 from irec_calibration.identification.observe import observe
@@ -92,3 +93,14 @@ def test_a_load_case_usually_reads_the_mean_of_its_readings_where_it_was_meant_t
     meant = {c: (1.5 * f[0], 1.5 * f[1], f[2]) for c, f in session.load_cases.items()}
     by_mean, taken = (usual_across_the_tool(replace(session, load_cases=cases)) for cases in ({}, meant))
     np.testing.assert_allclose(taken, by_mean, atol=5.0)
+
+
+def stiffens(scene: Scene) -> np.ndarray:
+    """Axis 1 gives way by 1e-6 rad/(N m) more where it bears less than 600 N m."""
+    return scene.J[:, :, 0] * (1e-6 * 600.0 * np.tanh(scene.tau[:, 0] / 600.0))[:, None]
+
+
+def test_a_gear_that_stiffens_is_no_noise_of_the_sensor() -> None:
+    session = synthetic.session(poses=30, seed=8, extra=stiffens)
+    session = replace(session, noise=replace(session.noise, force_n=4.0))  # 0.14 of the scatter, and at most 0.57
+    np.testing.assert_array_equal(observe_with_force_noise(session, TERMS).session.force_in_tool, session.force_in_tool)
