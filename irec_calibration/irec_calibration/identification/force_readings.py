@@ -38,9 +38,14 @@ class Scatter:
     sd: Array
     followed: Array
 
+    def noise_left(self, session: Session) -> float:
+        """Standard deviation of each component of each reading, N, once the rest is left out."""
+        share = np.maximum(self.followed * (1.0 - self.followed), 1.0 / max(len(session.poses), 1))
+        return min(session.noise.force_n, float(np.sqrt(0.5 * (share * self.sd**2).mean())))
+
 
 def scatter(observation: Observation, residual: Array, compliance: Array) -> Scatter | None:
-    """What the residual of a first fit says of the scatter of the force readings; None where they have none.
+    """What the residual of a first fit says of the scatter of the force readings; None where they have none, or it was left out.
 
     Args:
         observation: of a loaded session.
@@ -49,6 +54,8 @@ def scatter(observation: Observation, residual: Array, compliance: Array) -> Sca
     """
     session = observation.session
     if session.kind != "loaded" or session.contact is not None or session.noise.force_n <= 0.0:
+        return None
+    if any(n.startswith(NOTE) for n in session.notes):
         return None
     off = _off_its_load_case(session, observation.scene.reference)
     known = off[observation.rows]
@@ -121,13 +128,11 @@ def _usual(session: Session, change: Array, middle: dict[int, Array], sd: Array)
 
 
 def without_noise(session: Session, found: Scatter) -> Session:
-    """A session with forces that are as far from their load case's as the arm follows, and the noise that is left in them."""
+    """A session with forces that are as far from their load case's as the arm follows, which a note says."""
     force = session.force_in_tool - (1.0 - found.followed) * found.off
-    left = np.maximum(found.followed * (1.0 - found.followed), 1.0 / max(len(session.poses), 1)) * found.sd**2
-    noise = replace(session.noise, force_n=min(session.noise.force_n, float(np.sqrt(0.5 * left.mean()))))
     sizes, shares = ", ".join(f"{v:.2g}" for v in found.sd), ", ".join(f"{100 * v:.0f}" for v in found.followed)
     note = (
         f"{NOTE}{sizes} N along x, y, z of tool0 within a load case, and the arm follows {shares} % of that: the"
         " rest is taken for the sensor's noise and left out"
     )
-    return replace(session, force_in_tool=force, noise=noise, notes=(*session.notes, note))
+    return replace(session, force_in_tool=force, notes=(*session.notes, note))

@@ -157,10 +157,12 @@ def observe_with_force_noise(
     springs = fitted([t for t in terms if t.effect.elastic], first)
     compliance = elastic_response(springs.terms, first.scene).compliance[:, :, :3]
     found = scatter(first, first.y - first.of(springs.moved), compliance)
+    noise = session.noise.force_n
     if found is not None and (found.followed < 1.0).any():
+        noise = found.noise_left(session)
         whole = observe(without_noise(whole.session, found)).seeing(sag_share)
         first = replace(first, session=replace(first.session, notes=(*first.session.notes, whole.session.notes[-1])))
-    return again(whole.with_force_noise(compliance), first)
+    return again(whole.with_force_noise(compliance, noise), first)
 
 
 def _whole(session: Session) -> Observation:

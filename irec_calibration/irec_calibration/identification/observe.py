@@ -76,10 +76,10 @@ class Observation:
         whiten = replace(self.whiten, sigma=self.whiten.sigma * np.sqrt(self.weight / weight))
         return replace(self, whiten=whiten, weight=np.asarray(weight, dtype=float))
 
-    def with_force_noise(self, compliance: Array) -> Observation:
-        """The same with the force sensor's noise carried through the springs: compliance is the displacement of the marker by
+    def with_force_noise(self, compliance: Array, noise: float) -> Observation:
+        """The same with the force sensor's noise, N, carried through the springs: compliance is the displacement of the marker by
         force, of all rows of the session, (n, 3, 3), m/N."""
-        through_springs = self.session.noise.force_n**2 * np.einsum("nij,nij->n", compliance, compliance) / 3.0
+        through_springs = noise**2 * np.einsum("nij,nij->n", compliance, compliance) / 3.0
         return replace(self, whiten=_whitening(self.session, self.scene, self.rows, through_springs))
 
     def of(self, displacement: Array) -> Array:

@@ -104,3 +104,16 @@ def test_a_gear_that_stiffens_is_no_noise_of_the_sensor() -> None:
     session = synthetic.session(poses=30, seed=8, extra=stiffens)
     session = replace(session, noise=replace(session.noise, force_n=4.0))  # 0.14 of the scatter, and at most 0.57
     np.testing.assert_array_equal(observe_with_force_noise(session, TERMS).session.force_in_tool, session.force_in_tool)
+
+
+def test_what_was_left_out_once_is_not_left_out_again() -> None:
+    once = observe_with_force_noise(read_with(20.0), TERMS).session
+    np.testing.assert_array_equal(observe_with_force_noise(once, TERMS).session.force_in_tool, once.force_in_tool)
+
+
+def test_what_is_left_out_leaves_the_noise_that_is_stated_for_the_readings_at_the_references() -> None:
+    session = read_with(20.0)
+    used = observe_with_force_noise(session, TERMS).session
+    assert used.noise == session.noise
+    rest = session.load_case == 0
+    np.testing.assert_array_equal(used.force_in_tool[rest], session.force_in_tool[rest])
