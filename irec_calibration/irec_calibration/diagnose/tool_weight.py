@@ -14,7 +14,7 @@ import numpy as np
 from ..effects import CATALOGUE, Evidence
 from ..effects.scene import Scene
 from ..identification.settings import READINGS
-from ..identification.tool_weight import at_references
+from ..identification.tool_weight import at_references, reference_rows
 from ..identification.validation import rms
 from ..typing import Array
 from .evidence import Bench, Block, Posterior
@@ -67,7 +67,7 @@ def reference_readings(scene: Scene, force_noise: float) -> Readings | None:
 def odds_at_references(scene: Scene, force_noise: float, mass: float, mass_se: float) -> float:
     """Log odds that the readings at the references hold a wrong mass of this value and error, kg, over that they hold noise or a
     constant bias only, or, where that is far from it, the mass that they show; 0 where there are too few of them."""
-    rows = np.unique(scene.reference[scene.reference >= 0])
+    rows = reference_rows(scene)
     if len(rows) < READINGS.fewest or force_noise <= 0.0:
         return 0.0
     weight = np.einsum("nji,j->ni", scene.kin.R_tool[rows], scene.gravity_in_base).ravel()

@@ -37,13 +37,20 @@ class AtReferences:
     mass_se: float
 
 
+def reference_rows(scene: Scene) -> IntArray:
+    """One row of each reading at a reference, (k,): where several markers are seen, each has a row of its own for it."""
+    rows = np.unique(scene.reference[scene.reference >= 0])
+    reading = np.column_stack([scene.pose[rows], scene.stamp[rows], scene.force_in_tool[rows]])
+    return np.asarray(rows[np.sort(np.unique(reading, axis=0, return_index=True)[1])])
+
+
 def at_references(scene: Scene, force_noise: float) -> AtReferences | None:
     """What the readings at the references say of a wrong mass; None where there are too few of them, or nothing weighs.
 
     Args:
         force_noise: of each component, N.
     """
-    rows = np.unique(scene.reference[scene.reference >= 0])
+    rows = reference_rows(scene)
     if len(rows) < READINGS.fewest or force_noise <= 0.0 or not np.any(scene.gravity_in_base):
         return None
     force = scene.force_in_tool[rows]

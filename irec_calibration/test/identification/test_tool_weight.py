@@ -13,6 +13,7 @@ from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.errors import SolveError
 from irec_calibration.identification.identify import identify
+from irec_calibration.identification.tool_weight import at_references
 from irec_calibration.model import Estimate, Model, Term, blank_model
 from irec_calibration.recertification.judgement import renewed
 from irec_calibration.session.data import Session
@@ -64,3 +65,14 @@ def test_a_tool_weight_stays_where_the_references_are_too_few_to_tell() -> None:
 def test_a_tool_weight_without_a_value_is_asked_for_in_vain_where_the_references_are_too_few() -> None:
     with pytest.raises(SolveError, match="'tool_weight' can't be identified from synthetic.*at 3 references at least"):
         identify(reads_too_much(6.0).select_poses([1, 2]), blank_model(("joint_torsion", "tool_weight")))
+
+
+def test_a_reading_counts_once_however_many_markers_are_seen() -> None:
+    session = reads_too_much(6.0)
+    markers = (*session.markers, replace(session.markers[0], name="B"))
+    twice = session.select(np.repeat(np.arange(len(session)), 2))
+    twice = replace(twice, marker=np.tile([0, 1], len(session)), markers=markers)
+    one, two = (at_references(scene_of(s), 1.0) for s in (session, twice))
+    assert one is not None
+    assert two is not None
+    assert two.mass_se == pytest.approx(one.mass_se)
