@@ -11,15 +11,15 @@ import numpy as np
 
 from .build import Built
 from .parts import prune
-
-OF_A_POSE = 3  # parameters that describe any displacement which a pose has by itself
+from .settings import SETTINGS
 
 
 def guessed(built: Built) -> dict[str, str]:
     """Added effects of a loaded session no part of which is proven, with more parameters than any displacement of each pose has,
     and why they can't be told, in words."""
     final = built.final
-    most = OF_A_POSE * len(np.unique(final.study.observation.pose))
+    poses = len(np.unique(final.study.observation.pose))
+    most = SETTINGS.parameters_of_pose * poses
 
     def too_many(owners: tuple[str, ...]) -> list[str]:
         return [i for i in final.ids if owners.count(i) > most]
@@ -28,5 +28,5 @@ def guessed(built: Built) -> dict[str, str]:
     if not many:
         return {}
     pruned = prune(final.study, many, family=built.family)
-    why = f"no part of it is proven, and it has more parameters than three for each of {most // OF_A_POSE} poses"
+    why = f"no part of it is proven, and it has more parameters than {SETTINGS.parameters_of_pose} for each of {poses} poses"
     return {i: why for i in too_many(pruned.study.owners) if i in pruned.parts and not pruned.parts[i].proven}

@@ -335,6 +335,10 @@ class Settings(Thresholds):
         3.0, "nats", "structures this close to the strongest one name what a residual depends on too", "odds of 20",
     )  # fmt: skip
     most_depended_on: int = threshold(4, "variables", "that a residual is said to depend on", "more help nobody to find a cause")
+    parameters_of_pose: int = threshold(
+        3, "parameters", "for each pose of a loaded session, with more of which an effect without a proven part is left out",
+        "they describe any displacement that a pose has by itself",
+    )  # fmt: skip
     where_typical: float = threshold(
         3.0, "times the typical residual", "of a pose or load case that is said to stand out", "three standard deviations",
     )  # fmt: skip

@@ -33,8 +33,8 @@ class RailCompliance(Effect):
     physics = (
         "The carriage and its rail give way like a base spring, differently along the travel: each of six compliances, neither "
         "part negative, and r_xy is a constant part and one that is largest at the place s_0. That one fades over the distance "
-        "w, c + soft exp(-((s - s_0)/w)^2), or is there between all posts, which stand w apart (0.4 m at least): "
-        "c + soft cos^2(pi (s - s_0)/w). "
+        "w (0.3 m at least), c + soft exp(-((s - s_0)/w)^2), or is there between all posts, which stand w apart (0.4 m at "
+        "least): c + soft cos^2(pi (s - s_0)/w). "
         "Missing, the residual depends on the rail position."
     )
     family = Family.SPRING

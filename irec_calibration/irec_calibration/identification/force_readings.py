@@ -15,12 +15,12 @@ import numpy as np
 
 from ..session.data import Session
 from ..typing import Array, IntArray
+from .gross_errors import TO_NORMAL
 from .observe import Observation
 from .settings import FORCES
 
 NOTE = "force readings differ by "  # how a note of it begins
 RIDGE = 1e-3  # of what a column is known by, which keeps those apart that a session does not tell apart
-TO_NORMAL = 1.4826  # standard deviations of a normal distribution in its median absolute deviation
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def scatter(observation: Observation, residual: Array, compliance: Array) -> Sca
     session = observation.session
     if session.kind != "loaded" or session.contact is not None or session.noise.force_n <= 0.0:
         return None
-    if any(n.startswith(NOTE) for n in session.notes):
+    if any(n.startswith(NOTE) for n in session.notes):  # a model may ask to see again what was observed before
         return None
     off = _off_its_load_case(session, observation.scene.reference)
     known = off[observation.rows]
@@ -68,7 +68,7 @@ def scatter(observation: Observation, residual: Array, compliance: Array) -> Sca
     most = np.minimum(FORCES.factor**2 * stated, 1.0)
     columns = np.concatenate([-observation.of(compliance * off[:, None, :]), _other_causes(observation, compliance)], axis=2)
     size = np.sqrt((columns**2).sum(axis=(0, 1))) + 1e-30
-    known = np.concatenate([np.full(3, FORCES.believed**-2), RIDGE * size[3:] ** 2 / max(float((residual**2).mean()), 1e-30)])
+    precision = np.concatenate([np.full(3, FORCES.believed**-2), RIDGE * size[3:] ** 2 / max(float((residual**2).mean()), 1e-30)])
     x = np.concatenate([stated, np.zeros(columns.shape[2] - 3)])
     for _ in range(FORCES.rounds):
         left = np.linalg.norm(residual - columns @ x, axis=1)
@@ -76,8 +76,8 @@ def scatter(observation: Observation, residual: Array, compliance: Array) -> Sca
         per_row = weight / max(float(np.sum(weight * left**2)) / (3.0 * len(left)), 1e-30)
         told = np.einsum("m,mij,mik->jk", per_row, columns, columns)
         seen = np.einsum("m,mij,mi->j", per_row, columns, residual)
-        seen[:3] += known[:3] * stated
-        x = np.linalg.solve(told + np.diag(known), seen)
+        seen[:3] += precision[:3] * stated
+        x = np.linalg.solve(told + np.diag(precision), seen)
     noise = np.clip(x[:3], 0.0, most)
     return Scatter(off, sd, np.where(most < FORCES.least, 1.0, 1.0 - np.round(10.0 * noise) / 10.0))
 

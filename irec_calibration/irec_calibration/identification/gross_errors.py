@@ -12,6 +12,8 @@ from ..typing import BoolArray, IntArray
 from .bad_rows import BadRow, place
 from .settings import OUTLIERS
 
+TO_NORMAL = 1.4826  # standard deviations of a normal distribution in its median absolute deviation
+
 
 def mended(session: Session) -> Session:
     """A session with what was there in place of wrong forces and joint angles, as far as that is known: what the other rows of
@@ -118,7 +120,7 @@ def _elsewhere(session: Session) -> list[tuple[int, IntArray, str]]:
         of_case = session.load_case == case
         usual = float(np.median(off[of_case]))
         if usual > limit[of_case][0]:  # so it was measured: a tool that is aligned at contact stands otherwise in references
-            spread = 1.4826 * float(np.median(np.abs(off[of_case] - usual)))
+            spread = TO_NORMAL * float(np.median(np.abs(off[of_case] - usual)))
             limit[of_case] = usual + OUTLIERS.elsewhere_sigmas * spread
     found = []
     suspects = np.flatnonzero(off > limit)

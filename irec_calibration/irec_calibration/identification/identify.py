@@ -139,7 +139,8 @@ def observe_with_force_noise(
     session: Session, terms: Sequence[Term], lasting: Sequence[int] = (), sag_share: float = 1.0
 ) -> Observation:
     """The observation of a session without rows that are plainly wrong (`outliers`), with the force sensor's noise carried
-    through a first fit of the terms' springs: what every fit, comparison and verdict rests on.
+    through a first fit of the terms' springs, and left out of the forces where the arm does not follow it (`force_readings`):
+    what every fit, comparison and verdict rests on.
 
     What was found stands in the observation's `bad` and in the notes of its session.
 
