@@ -11,6 +11,7 @@ Student-t in place of the normal).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import erfcx, log_ndtr
@@ -94,8 +95,11 @@ class Bench:
         self.b = b
         self.pose = pose
         self.poses = np.unique(pose)
-        self._of_pose = [np.flatnonzero(pose == p) for p in self.poses]
         self.bb = float(b @ b)
+
+    @cached_property
+    def _of_pose(self) -> list[IntArray]:
+        return [np.flatnonzero(self.pose == p) for p in self.poses]
 
     def posterior(
         self, block: Block, factors: Array | None = None, own: slice | None = None, products: Products | None = None

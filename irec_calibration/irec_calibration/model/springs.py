@@ -91,7 +91,7 @@ def by_parameters(effect: Effect, theta: Array, scene: Scene, columns: Array, mo
     u = known.at_rest + np.einsum("nijkp,nk->nijp", known.by_wrench, _wrench(scene))
     turned = None
     if mover is not None and not effect.completes:
-        turned = np.einsum("nikgp,nk->nigp", _by_geometry(effect, scene, mover).columns, _wrench(scene))
+        turned = _by_geometry(effect, scene, mover).under(scene)
     by_wrench = known.by_wrench[:, :, 0]
     of_wrist = by_wrench * kept.wrist if scene.kind == "loaded" else None
     return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), by_wrench, turned, of_wrist)
@@ -105,13 +105,7 @@ def by_geometry(effect: Effect, theta: Array, scene: Scene, mover: Effect) -> Ar
     """
     if not is_kept(effect, scene) or effect.completes:
         return None
-    known = _by_geometry(effect, scene, mover)
-    key = theta.tobytes()
-    if key not in known.values:
-        known.values.clear()
-        known.values[key] = _at(known.columns, theta)
-    out: Array = np.einsum("nikg,nk->nig", known.values[key], _wrench(scene))
-    return out
+    return _at(_by_geometry(effect, scene, mover).under(scene), theta)
 
 
 def answer_of(effect: Effect, theta: Array, scene: Scene) -> Answer:
@@ -135,13 +129,22 @@ def _kept(effect: Effect, theta: Array, scene: Scene) -> _Kept:
 @dataclass(frozen=True)
 class _Turned:
     """What each unit of the wrench does through a spring, by where the joints are and by the spring's parameters,
-    (n, 3, 6, g, p), with what it was computed for; `values`: at values of these, (n, 3, 6, g)."""
+    (n, 3, 6, g, p), with what it was computed for; `pressed`: under the wrench it was last asked for, (n, 3, g, p)."""
 
     effect: Effect
     mover: Effect
     rows: Rows
     columns: Array
-    values: dict[bytes, Array]
+    pressed: dict[bytes, Array]
+
+    def under(self, scene: Scene) -> Array:
+        """Under a scene's wrench, (n, 3, g, p): a fit asks for many values of the parameters under one wrench."""
+        wrench = _wrench(scene)
+        key = wrench.tobytes()
+        if key not in self.pressed:
+            self.pressed.clear()
+            self.pressed[key] = np.einsum("nikgp,nk->nigp", self.columns, wrench)
+        return self.pressed[key]
 
 
 def _by_geometry(effect: Effect, scene: Scene, mover: Effect) -> _Turned:

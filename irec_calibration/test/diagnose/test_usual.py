@@ -151,6 +151,20 @@ def test_effects_that_take_one_cause_up_from_each_other_are_looked_at_together(m
     assert usual(one, "joint_stiffening") == usual_
 
 
+@pytest.mark.parametrize("effect_id", ["tool_compliance", "base_compliance", "geometry_error"])
+@pytest.mark.parametrize(("of_limit", "usual_"), [(0.9, True), (1.1, False)])
+def test_what_springs_of_links_take_up_is_usual_however_much_of_it_there_is(monkeypatch, effect_id, of_limit, usual_) -> None:
+    """Bearings and links that bend leave as much as such a tool, floor or zero does beside the springs of a model."""
+    effect = find_effect(effect_id)
+    plain = study(lambda scene: 3e-7 * scene.force)
+    with_it = study_of(plain.observation, (*plain.terms, Term(effect)))
+    one = Explanation(with_it.terms[-1:], with_it, 0.0, grow(with_it.bench, family_of(with_it), with_it.base))
+    monkeypatch.setattr(type(effect), "is_usual", lambda self, values, share, scene: False)
+    shown = np.sqrt((with_it.observation.of(total_displacement(with_it.terms, with_it.observation.scene)) ** 2).sum())
+    monkeypatch.setattr(explanation, "_visible", lambda one, ids, moved: of_limit * effect.usual_visible * shown)
+    assert usual(one, effect_id) == usual_
+
+
 def goes_with_another_angle(scene: Scene) -> NDArray[np.float64]:
     u = np.einsum("nik,nk->ni", scene.J, synthetic.COMPLIANCE * scene.tau)
     return 0.08 * np.sin(4.0 * scene.q[:, [1]] + scene.q[:, [4]]) * u
