@@ -234,11 +234,13 @@ def _beside(one: Explanation, forms: bool = False) -> Block:
     own = one.remainder.block
     columns = list(range(own.A.shape[1]))[one.remainder.own]
     if forms:
-        lag = one.study.ready.kind == "absolute" and any("order" in t.effect.needs for t in one.added)
+        lag = any("order" in t.effect.needs for t in one.added)
+        history, lag = lag and one.study.ready.kind == "loaded", lag and one.study.ready.kind == "absolute"
         law = any(t.effect.family is Alike.TORQUE_LAW for t in one.added)
         kept: list[int] = []
         for part, here in one.remainder.columns:
             form = (lag and part.structure.by_step) or (law and part.structure.law_of is not None)
+            form = form or (history and part.structure.history_of is not None)
             kept += [] if form else range(here.start, here.stop)
         columns = kept
     return own.take(columns)

@@ -31,8 +31,8 @@ class Direction:
 
     Attributes:
         words: along what; variables: what they depend on already; columns: (n, 3, d), m; axis: the one that they turn, if one;
-            law_of, softer_by_angle, is_tilt, by_step, is_drift: see `Structure`; largest: amplitude that can be, in units of
-            the columns.
+            law_of, softer_by_angle, is_tilt, by_step, is_drift, history_of: see `Structure`; largest: amplitude that can be, in
+            units of the columns.
     """
 
     words: str
@@ -44,6 +44,7 @@ class Direction:
     is_tilt: bool = False
     by_step: bool = False
     is_drift: bool = False
+    history_of: int | None = None
     largest: float = np.inf
 
 
@@ -214,7 +215,7 @@ def two_variables(study: Study) -> Iterator[Direction]:
             change = t[:, k] - before[:, k]
             history = np.stack([before[:, k], before[:, k] ** 2, before[:, k] * t[:, k], np.tanh(5.0 * change)], axis=1)
             words = f"turning axis {k + 1} by its torque before"
-            yield Direction(words, (f"tau_{k + 1}", "load_case"), own * history[:, None, :], k)
+            yield Direction(words, (f"tau_{k + 1}", "load_case"), own * history[:, None, :], k, history_of=k)
         step = scene.step[:, k] / max(float(np.abs(scene.step[rows, k]).max()), 1e-12)
         if np.ptp(step[rows]) > 1e-6 and scene.clock != "none":
             driven = np.stack([step, step * np.abs(step), np.sign(step)], axis=1)

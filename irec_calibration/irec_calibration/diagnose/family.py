@@ -45,6 +45,8 @@ class Structure:
         softer_by_angle: the axis whose compliance goes with its own angle, whatever the form: what a balancer of it is a form of.
         is_tilt: a link tilts across its axis: seldom, and hardly told from a law of an axis that is parallel to that.
         by_step: it turns the axis by the step just made, whatever the law: what effects of history are special forms of.
+        history_of: the axis that it turns by the torque which that axis bore before, whatever the law: what friction of it is a
+            form of.
         is_drift: it follows time or a temperature whatever the force, wherever it acts: what a drift may also be.
         ripple: joint, counted from 0, and how many times per turn of it this repeats; found in a residual.
         largest: amplitude of its coefficients' prior that can be.
@@ -66,6 +68,7 @@ class Structure:
     seated: tuple[int, float] | None = None
     by_step: bool = False
     is_drift: bool = False
+    history_of: int | None = None
     ripple: tuple[int, float] | None = None
     largest: float = np.inf
 
@@ -187,7 +190,7 @@ def family_of(study: Study) -> Family:
                 structures.append(
                     Structure(
                         d.variables, d.words, place, len(kind), d.axis, d.law_of, d.softer_by_angle, d.is_tilt, by_step=d.by_step,
-                        is_drift=d.is_drift, largest=d.largest,
+                        is_drift=d.is_drift, history_of=d.history_of, largest=d.largest,
                     )
                 )  # fmt: skip
                 columns.append(own)

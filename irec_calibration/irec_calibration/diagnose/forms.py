@@ -20,7 +20,8 @@ class Forms:
     Attributes:
         axes: general laws of the torque of these axes; turns: of axes whose compliance goes with their own angle; tilts: links
             that tilt across their axis; drifts: what follows time or a temperature whatever the force; steps: general laws of the
-            step just made by these axes; angles: general laws by which these axes turn with their own angle.
+            step just made by these axes; angles: general laws by which these axes turn with their own angle; histories: with the
+            torque that they bore before.
     """
 
     axes: frozenset[int] = frozenset()
@@ -29,15 +30,16 @@ class Forms:
     turns: frozenset[int] = frozenset()
     steps: frozenset[int] = frozenset()
     angles: frozenset[int] = frozenset()
+    histories: frozenset[int] = frozenset()
 
     def __bool__(self) -> bool:
-        return bool(self.axes or self.turns or self.steps or self.angles) or self.drifts or self.tilts
+        return bool(self.axes or self.turns or self.steps or self.angles or self.histories) or self.drifts or self.tilts
 
     def has(self, structure: Structure) -> bool:
         law = structure.law_of is not None and structure.law_of in self.axes
         law = law or (structure.softer_by_angle is not None and structure.softer_by_angle in self.turns)
         law = law or (structure.by_step and structure.axis in self.steps)
-        law = law or _by_own_angle(structure) in self.angles
+        law = law or _by_own_angle(structure) in self.angles or structure.history_of in self.histories
         return law or (self.drifts and structure.is_drift) or (self.tilts and structure.is_tilt)
 
 
@@ -52,7 +54,9 @@ def forms_of(term: Term, scene: Scene) -> Forms:
     law = term.effect.family is Alike.TORQUE_LAW
     angles = axes if term.effect.turns_by_angle and scene.kind == "absolute" else none
     turns = axes if law and term.effect.by_angle else none
-    return Forms(axes if law and not term.effect.by_angle else none, turns=turns, steps=steps(term, scene), angles=angles)
+    histories = axes if law and "order" in term.effect.needs and scene.kind == "loaded" else none
+    of_torque = axes if law and not term.effect.by_angle else none
+    return Forms(of_torque, turns=turns, steps=steps(term, scene), angles=angles, histories=histories)
 
 
 def _by_own_angle(structure: Structure) -> int | None:

@@ -151,6 +151,7 @@ def _together(start: Explanation, one: Explanation, family: Family, settings: Se
         turns=frozenset().union(*(f.turns for f in own)),
         steps=frozenset().union(*(f.steps for f in own)),
         angles=frozenset().union(*(f.angles for f in own)),
+        histories=frozenset().union(*(f.histories for f in own)),
     )
     known = one.remainder.parts
     instead = remainder_of(start.study, family, known, forms).gained

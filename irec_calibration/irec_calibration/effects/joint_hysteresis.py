@@ -11,7 +11,7 @@ from ..robot.ratings import rated_torque
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import ColumnLaw, LeftOut, LiveForm, Tick, drives
-from .scales import largest_lag, typical_compliance
+from .scales import LAG, STIFFER_THAN, largest_lag, typical_compliance
 from .scene import Scene
 from .traits import Family
 from .travel import clipped_in_turn, travel_to_reference
@@ -64,7 +64,7 @@ class JointHysteresis(Effect):
         scale = typical_compliance(scene.robot)
         axes = tuple(
             Parameter(
-                f"{name}_{k + 1}", "rad/(N m)", 0.3 * scale[k], plausible=(-20.0 * scale[k], 20.0 * scale[k]),
+                f"{name}_{k + 1}", "rad/(N m)", 0.3 * scale[k], plausible=(-STIFFER_THAN * scale[k], STIFFER_THAN * scale[k]),
                 group=f"axis {k + 1}", axis=int(k),
             )
             for name in SLIDERS
@@ -85,12 +85,21 @@ class JointHysteresis(Effect):
         axes = {n.split("_")[1] for n, v in values.items() if n.split("_")[0] in SLIDERS and v != 0.0}
         return share <= USUAL_FRICTION and len(axes) >= USUAL_AXES
 
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
+        if scene.kind == "absolute":
+            return ""
+        theta = np.array([values.get(p.name, (p.start, 0.0))[0] for p in self.parameters(scene)])
+        held = np.abs(self._turned(scene, theta)).max(axis=0, initial=0.0)
+        k = int(held.argmax())
+        if held[k] <= LAG:
+            return ""
+        most = f"{1e3 * LAG:.2g} mrad at most, as gears and servos do"
+        return f"friction would hold axis {k + 1} back by {1e3 * held[k]:.2g} mrad; it may by {most}"
+
     def displacement(self, scene: Scene, theta: Array) -> Array:
         if scene.kind == "absolute":
             return self._by_last_step(scene, theta[-1]) @ theta[:-1]
-        h = np.zeros((len(SLIDERS), scene.n_joints))
-        h[:, scene.driven] = theta[:-SHAPE].reshape(len(SLIDERS), -1)
-        out: Array = np.einsum("nik,nk->ni", scene.J, (self._held(scene, *theta[-SHAPE:]) * h).sum(axis=1))
+        out: Array = np.einsum("nik,nk->ni", scene.J, self._turned(scene, theta))
         return out
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
@@ -113,9 +122,8 @@ class JointHysteresis(Effect):
         if scene.kind == "absolute":  # there the last step decides
             return np.zeros((len(scene), 3, change.shape[2]))
         course = _Course(scene, *theta[-SHAPE:])
-        h = np.zeros((len(SLIDERS), scene.n_joints))
-        h[:, scene.driven] = theta[:-SHAPE].reshape(len(SLIDERS), -1)
-        turned = (by_slider(course.by_torque(change) - change[:, None], 1) * h[None, :, :, None]).sum(axis=1)
+        h = _of_sliders(scene, theta)[None, :, :, None]
+        turned = (by_slider(course.by_torque(change) - change[:, None], 1) * h).sum(axis=1)
         return np.asarray(scene.J @ turned)
 
     def _by_last_step(self, scene: Scene, over: float) -> Array:
@@ -127,6 +135,11 @@ class JointHysteresis(Effect):
         held = self._held(scene, fraction, spread, freed, arrived)
         return np.concatenate([(scene.J * held[:, None, i])[:, :, scene.driven] for i in range(len(SLIDERS))], axis=2)
 
+    def _turned(self, scene: Scene, theta: Array) -> Array:
+        """Angle by which friction holds each joint back, (n, k), rad."""
+        held: Array = (self._held(scene, *theta[-SHAPE:]) * _of_sliders(scene, theta)).sum(axis=1)
+        return held
+
     def _held(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> Array:
         """Minus the part of the torque that each slider holds (the stop operator), (n, sliders, k)."""
         course = _Course(scene, fraction, spread, freed, arrived)
@@ -136,6 +149,13 @@ class JointHysteresis(Effect):
         if not theta[:-SHAPE].any():
             return LeftOut("has no value for process forces, only for the last step of an absolute session")
         return _Friction(scene, theta)
+
+
+def _of_sliders(scene: Scene, theta: Array) -> Array:
+    """Compliance that each slider holds back, (sliders, k), rad/(N m)."""
+    h = np.zeros((len(SLIDERS), scene.n_joints))
+    h[:, scene.driven] = theta[:-SHAPE].reshape(len(SLIDERS), -1)
+    return h
 
 
 class _Course:

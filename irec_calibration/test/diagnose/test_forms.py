@@ -4,8 +4,14 @@
 from __future__ import annotations
 
 import pytest
-from irec_calibration.diagnose.family import Structure
-from irec_calibration.diagnose.forms import Forms
+import synthetic
+from irec_calibration.diagnose import start_terms
+from irec_calibration.diagnose.family import Structure, family_of
+from irec_calibration.diagnose.forms import Forms, forms_of
+from irec_calibration.diagnose.study import prepare
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
+from irec_calibration.model import Estimate, Term
 
 
 @pytest.mark.parametrize(
@@ -21,3 +27,28 @@ from irec_calibration.diagnose.forms import Forms
 )
 def test_what_turns_an_axis_smoothly_by_its_own_angle_is_a_form_of_its_encoders_harmonics(structure, is_form):
     assert Forms(angles=frozenset({0})).has(structure) == is_form
+
+
+@pytest.mark.parametrize(
+    ("effect_id", "name", "its_own"),
+    [
+        ("joint_hysteresis", "h_3", True),
+        ("joint_hysteresis", "h_2", False),
+        ("joint_stiffening", "a_3", False),
+        ("creep", "c", False),
+    ],
+)
+def test_what_turns_an_axis_by_the_torque_before_is_a_form_of_friction_in_its_gear_and_of_nothing_else(effect_id, name, its_own):
+    measured = synthetic.session(poses=8, seed=3)
+    history = [s for s in family_of(prepare(measured, start_terms(measured)).to_weigh).structures if s.history_of == 2]
+    assert [s.words for s in history] == ["turning axis 3 by its torque before"]
+    term = Term(find_effect(effect_id), {name: Estimate(1e-8)})
+    assert forms_of(term, scene_of(measured)).has(history[0]) == its_own
+
+
+@pytest.mark.parametrize(("h", "possible"), [(1e-6, True), (1e-5, False)])
+def test_friction_holds_a_gear_back_by_milliradians_at_most(h, possible):
+    """However soft what it holds back is: by less than it, over a small range of torque."""
+    scene, friction = scene_of(synthetic.session(poses=4, seed=3)), find_effect("joint_hysteresis")
+    why = friction.why_impossible({"h_3": (h, 0.0), "r": (0.1, 0.0)}, {}, scene)
+    assert (why == "") == possible and ("axis 3" in why) != possible
