@@ -207,7 +207,7 @@ def beside_a_curve(
         by_step = bool(forms.steps)
         s = SimpleNamespace(
             law_of=None, softer_by_angle=None, by_step=by_step, axis=0, ripple=None, variables=("joint_1",), is_drift=False,
-            is_tilt=False,
+            is_tilt=False, history_of=None,
         )  # fmt: skip
         return SimpleNamespace(log_evidence=evidence, structure=s)
 
