@@ -12,14 +12,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..identification.validation import gain
-from .explanation import Explanation, everywhere, in_one_pose, own_forms, remainder_of, shown_by_readings, without
+from .explanation import Explanation, everywhere, implausible, in_one_pose, own_forms, remainder_of, shown_by_readings, without
 from .family import Family
 from .form_errors import evidence_beside, feigned
 from .forms import Forms, bends, courses, forms_of, has_form_of
 from .held_out import held_out, only_good_poses
 from .naming import needed, odds_of
 from .parts import without_columns
-from .readings import against
 from .remainder import Part
 from .settings import Settings
 
@@ -87,7 +86,7 @@ def standing(start: Explanation, one: Explanation, family: Family, settings: Set
             weak = [i for i in one.ids if outweighed(one, bare, evidence, i, settings, most)]
         else:
             most = np.inf
-        weak = weak or [i for i in one.ids if against(one.study, one.term(i))]  # where others' names have moved its values
+        weak = weak or [i for i in one.ids if implausible(one, i)]  # where others' names have moved its values
         if not weak and not (_together(start, one, family, settings) and _helps(start, one)):
             weak = list(one.ids)
         if not weak:
@@ -107,7 +106,7 @@ def all_stand(start: Explanation, one: Explanation, family: Family, settings: Se
         if evidence[i] < _least(one, i, left, settings):
             return {}
     weak = _weak(start, one, bare, evidence, family, settings)
-    fall = weak or any(outweighed(one, bare, evidence, i, settings) or against(one.study, one.term(i)) for i in one.ids)
+    fall = weak or any(outweighed(one, bare, evidence, i, settings) or implausible(one, i) for i in one.ids)
     return {} if fall else evidence
 
 

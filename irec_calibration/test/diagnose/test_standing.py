@@ -116,10 +116,25 @@ def test_what_an_outweighed_name_explained_is_no_unknown_cause_beside_the_others
     monkeypatch.setattr(standing, "in_one_pose", lambda *_: False)
     monkeypatch.setattr(standing, "shown_by_readings", lambda *_: 0.0)
     monkeypatch.setattr(standing, "has_form_of", lambda *_: False)
-    monkeypatch.setattr(standing, "against", lambda *_: "")
+    monkeypatch.setattr(standing, "implausible", lambda *_: "")
     monkeypatch.setattr(standing, "_helps", lambda *_: True)
     family: Any = None
     assert standing.standing(none, both, family, SETTINGS)[0].ids == kept
+
+
+def test_a_name_whose_values_others_have_made_impossible_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An encoder that was off by less than it can be alone was off by 3.4 mrad beside links that bend."""
+    rest = SimpleNamespace(without_a_name=0.0)
+    names = ("link_bending",), ("link_bending", "encoder_harmonics")
+    alone, both = (SimpleNamespace(ids=i, added=i, remainder=rest) for i in names)
+    monkeypatch.setattr(standing, "without", lambda start, one, i, family: alone)
+    monkeypatch.setattr(standing, "odds_of", lambda *_: 50.0)
+    monkeypatch.setattr(standing, "_weak", lambda *_: [])
+    for name, said in (("outweighed", False), ("_together", True), ("_helps", True)):
+        monkeypatch.setattr(standing, name, lambda *_, said=said: said)
+    monkeypatch.setattr(standing, "implausible", lambda one, i: "3.4 mrad" if i == "encoder_harmonics" else "")
+    anything: Any = None
+    assert standing.standing(anything, both, anything, SETTINGS)[0].ids == ("link_bending",)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
