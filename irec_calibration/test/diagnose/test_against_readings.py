@@ -135,5 +135,5 @@ def test_a_name_that_readings_contradict_does_not_stand_at_the_end(monkeypatch: 
     gained = study.bench.posterior(study.base).log_evidence - start_study.bench.posterior(start_study.base).log_evidence
     one = Explanation((study.terms[-1],), study, gained, grow(study.bench, family, study.base))
     assert proven(start, (start, one), family, SETTINGS)[0].ids == ("tracker_scale",)
-    monkeypatch.setattr("irec_calibration.diagnose.standing.against", lambda study, term: "not read")
+    monkeypatch.setattr("irec_calibration.diagnose.explanation.against", lambda study, term: "not read")
     assert proven(start, (start, one), family, SETTINGS)[0].ids == ()
