@@ -19,8 +19,7 @@ trap 'rm -rf "$failed"' EXIT
 # run tests of nodes: a mark expression, then options of pytest. Files without such tests are not read, as that takes seconds;
 # those that last are begun first: one of them at the end would leave a core idle
 nodes() {
-  local lasting=(irec_calibration/test/nodes/test_{loop,check_driver,faults}_ros.py irec_correction/test/test_correction_watch.py
-    irec_sim/test/test_cell_node.py test/test_two_cells.py)
+  local lasting=(irec_calibration/test/nodes/test_{loop,check_driver,faults}_ros.py irec_sim/test/test_cell_node.py test/test_two_cells.py)
   mapfile -t files < <(printf '%s\n' "${lasting[@]}"; grep -rlE 'mark\.ros\b' --include='test_*.py' irec_*/test test)
   local part=("${run[@]}" -o "cache_dir=$failed/${1// /_}" -m "ros and not long and $1" "${files[@]}")
   "${part[@]}" "${@:2}" && return
@@ -32,6 +31,6 @@ nodes() {
   fi
 }
 nodes "not paced and not alone" -n "$processes" --dist loadfile --no-loadscope-reorder
-nodes "paced" -n "$processes" --dist loadfile --no-loadscope-reorder
+nodes "paced" -n "$processes" --dist loadfile
 nodes "alone"
 exit $code

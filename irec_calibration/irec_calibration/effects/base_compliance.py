@@ -83,7 +83,7 @@ class BaseCompliance(Effect):
     )
     family = Family.SPRING
     usual_in = ("loaded", "absolute")
-    usual_visible = 0.009  # chosen; floors with a cause had 1 % and more on outside simulators
+    usual_visible = 0.009  # chosen; floors with a cause had 1.2 % and more on outside simulators
     everywhere = ("absolute",)  # there the weight of the arm tilts it, whatever it stands on
     beside = "joint_torsion"
     elastic = True

@@ -44,11 +44,3 @@ def test_what_turns_an_axis_by_the_torque_before_is_a_form_of_friction_in_its_ge
     assert [s.words for s in history] == ["turning axis 3 by its torque before"]
     term = Term(find_effect(effect_id), {name: Estimate(1e-8)})
     assert forms_of(term, scene_of(measured)).has(history[0]) == its_own
-
-
-@pytest.mark.parametrize(("h", "possible"), [(1e-6, True), (1e-5, False)])
-def test_friction_holds_a_gear_back_by_milliradians_at_most(h, possible):
-    """However soft what it holds back is: by less than it, over a small range of torque."""
-    scene, friction = scene_of(synthetic.session(poses=4, seed=3)), find_effect("joint_hysteresis")
-    why = friction.why_impossible({"h_3": (h, 0.0), "r": (0.1, 0.0)}, {}, scene)
-    assert (why == "") == possible and ("axis 3" in why) != possible
