@@ -10,6 +10,7 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
+from .passive import why_no_spring
 from .scales import TWIST_UNDER_OWN_WEIGHT, USUAL_SHARE, typical_give
 from .scene import Scene
 from .traits import Ageing, Family
@@ -28,6 +29,7 @@ ONLY_SLIDES = -3.0  # odds of 20 against it, natural log
 COUPLED = (("x", "y"), ("y", "x"), ("z", "x"), ("z", "y"))  # translation along, tilt about
 PLACE, FARTHEST = 0.3, 3.0  # m; typical distance of that line, and the largest that is physically likely
 ELSEWHERE_ALONE = -5.0  # odds of 150 against a place of tilting without a tilt, natural log
+BETWEEN = {"r_xy": ("r_x", "r_y")} | {f"tr_{t}{r}": (f"t_{t}", f"r_{r}") for t, r in COUPLED}  # what couples which two
 LOOK = "check the bolts of the base, the pedestal and the floor"
 
 
@@ -98,7 +100,11 @@ class BaseCompliance(Effect):
             Parameter("r_xy", "rad/(N m)", scale, plausible=(-limit, limit), group="rotation"),
             *(
                 Parameter(
-                    f"tr_{t}{r}", "m/(N m)", PLACE * scale, plausible=(-far, far), group="place of tilting",
+                    f"tr_{t}{r}",
+                    "m/(N m)",
+                    PLACE * scale,
+                    plausible=(-far, far),
+                    group="place of tilting",
                     refines=scene.kind == "absolute",  # under the weight alone much else passes for it
                 )
                 for t, r in COUPLED
@@ -131,6 +137,9 @@ class BaseCompliance(Effect):
         else:
             about, at = "x", f"y = {-v['tr_zx']:.2f} m, z = {v['tr_yx']:.2f} m"
         return f"it tilts most about {about}, about a line near {at} in base_link; look at the bolts and what it stands on there"
+
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
+        return why_no_spring(values, BETWEEN)
 
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         return share <= USUAL_SHARE

@@ -10,6 +10,7 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import LiveForm, Springs
+from .passive import why_no_spring
 from .scales import STIFFER_THAN, USUAL_SHARE, typical_compliance, typical_give
 from .scene import Scene
 from .traits import Family
@@ -19,6 +20,7 @@ SOFTEST = 5e-6  # m/N, that is physically likely of the tool of a heavy robot
 USUAL_SHARE_OF_SAG = 0.005  # chosen: of what all springs give way by under the weight, RMS; a tool with less is no cause
 OVER_ARM = 3.0  # times the typical arm: a softer tool could not be guided
 PAIRS = ((0, 1), (0, 2), (1, 2))
+BETWEEN = {f"c_{AXES[i]}{AXES[j]}": (f"c_{AXES[i]}", f"c_{AXES[j]}") for i, j in PAIRS}
 BACK = (0.0, 0.35, 0.7)  # of the way from tool0 to the last joint, where a tool may be soft; the best is refined
 
 
@@ -67,6 +69,9 @@ class ToolCompliance(Effect):
             for a in range(3):
                 in_tool[:, :, 6 + a] = np.cross(np.eye(3)[a] * torque[:, a, None], beyond)
         return np.einsum("nij,njp->nip", scene.kin.R_tool, in_tool) * scene.moves_with_arm[:, None, None]
+
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
+        return why_no_spring(values, BETWEEN)
 
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         return share <= (USUAL_SHARE if scene.kind == "loaded" else USUAL_SHARE_OF_SAG)
