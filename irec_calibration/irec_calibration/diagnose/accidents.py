@@ -56,7 +56,7 @@ def steps_left_out(study: Study, settings: Settings = SETTINGS) -> tuple[int, ..
     out: list[int] = []
     for b in bad:
         rows = np.array(b.rows)
-        others = np.setdiff1d(_pose_of(session, rows[0]), rows)
+        others = np.setdiff1d(_pose_of(session, rows), rows)
         if len(others):
             moved = np.median(seen[rows], axis=0) - np.median(seen[others], axis=0)
             if np.isfinite(moved).all() and lasts_from(study, rows, moved) > settings.nats_to_name:
@@ -70,7 +70,7 @@ def lasts_from(study: Study, rows: IntArray, moved: Array) -> float:
     Args:
         moved: displacement of the step in base_link, (3,), m.
     """
-    stamp, pose = study.session.stamp, _pose_of(study.session, rows[0])
+    stamp, pose = study.session.stamp, _pose_of(study.session, rows)
     shift = next((e for e in known_effects().values() if e.evidence is Evidence.ONE_POSE), None)
     if shift is None or not np.isfinite(stamp[pose]).all():
         return -np.inf
@@ -83,6 +83,7 @@ def lasts_from(study: Study, rows: IntArray, moved: Array) -> float:
     return lasts(study, Term(shift, {**values, "t_shift": moment}))
 
 
-def _pose_of(session: Session, row: int) -> IntArray:
-    """Session rows of the pose and repeat of a row."""
-    return np.flatnonzero((session.pose == session.pose[row]) & (session.repeat == session.repeat[row]))
+def _pose_of(session: Session, rows: IntArray) -> IntArray:
+    """Session rows of the pose, repeat and marker of some rows: other markers of the pose tell of a step by their own rows."""
+    same = (session.pose == session.pose[rows[0]]) & (session.repeat == session.repeat[rows[0]])
+    return np.flatnonzero(same & np.isin(session.marker, session.marker[rows]))

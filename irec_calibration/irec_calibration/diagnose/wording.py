@@ -17,6 +17,7 @@ from ..lengths import length
 from ..robot.ratings import rating_known
 from ..typing import Json
 from .assessment import Assessment
+from .error_falls import how_the_error_falls
 from .expected_error import ExpectedError
 from .explanation import also_called, implausible
 from .part_sets import Parts
@@ -49,8 +50,7 @@ def verdict_of(
     """The verdict with its text."""
     study = assessment.built.start.study
     poses = len(study.bench.poses)
-    weight, where = assessment.weight_wrong, _where(assessment, shown)
-    ids = [*assessment.names, *([READ_AT_REFERENCES.id] if weight else ())]
+    weight, where, ids = assessment.weight_wrong, _where(assessment, shown), _named(assessment)
     parts = [
         f"The model leaves {length(comparison.rms_m)} ({length(shown.asked.held_out.rms_m)} on held-out poses);"
         f" noise explains {length(assessment.noise.inferred_m)}."
@@ -113,7 +113,7 @@ def verdict_of(
     return Verdict(
         status=assessment.status,
         text=" ".join(parts),
-        effects=tuple(ids),
+        effects=ids,
         depends_on=assessment.depends_on,
         size_m=_size(assessment, shown),
         explained=assessment.explained,
@@ -141,6 +141,11 @@ def _size(assessment: Assessment, shown: Shown) -> float:
         return 0.0
     rms = shown.asked.study.fit.rms
     return float(max(np.sqrt(max(rms**2 - assessment.noise.inferred_m**2, 0.0)), assessment.remaining_m))
+
+
+def _named(assessment: Assessment) -> tuple[str, ...]:
+    """Ids of what is missing, each once; a tool weight may be shown by differences and by the readings at the references."""
+    return tuple(dict.fromkeys((*assessment.names, *([READ_AT_REFERENCES.id] if assessment.weight_wrong else ()))))
 
 
 def _label(effect_id: str) -> str:
@@ -286,14 +291,14 @@ def _rest(assessment: Assessment) -> list[str]:
         often = " and ".join(f"{n:.3g} times per turn of axis {k + 1}" for k, n in sorted(ripples.items()))
         out.append(f"Some of it repeats about {often}, as errors of a gear or an encoder do.")
     closest = assessment.built.closest
-    if closest is not None and closest.ids and assessment.reason:
+    if closest is not None and closest.ids and assessment.reason and closest.ids[-1] not in _named(assessment):
         out.append(f"The closest try, {_label(closest.ids[-1])}, is not named as a cause: {assessment.reason}.")
     return out
 
 
 def _missing(assessment: Assessment, shown: Shown, candidates: Sequence[Candidate], where: Mapping[str, str]) -> list[str]:
     labels = " and ".join(_label(i) + _in_brackets(assessment.parts.get(i)) for i in assessment.names)
-    out = [f"Missing: {labels}. {_falls(assessment, shown)}"]
+    out = [f"Missing: {labels}. {how_the_error_falls(assessment, shown)}"]
     for i in assessment.names:
         one = next((c for c in candidates if c.effect == i), None)
         if one is not None and not one.plausible:
@@ -317,21 +322,6 @@ def _where(assessment: Assessment, shown: Shown) -> dict[str, str]:
             label = _label(effect.id)
             out[effect.id] = f"{label[0].upper()}{label[1:]}: {where}."
     return out
-
-
-def _falls(assessment: Assessment, shown: Shown) -> str:
-    """From what to what the error falls with all that was added, without readings that stand out where there are any."""
-    asked, after = shown.asked, shown.after
-    aside = [r for p in assessment.stand_out for r in p.structure.rows]
-    good = np.setdiff1d(np.intersect1d(asked.study.observation.rows, after.study.observation.rows), aside)
-    whole = [m.held_out.rms_m for m in (asked, after)]
-    of_good = [m.held_out.rms_of(np.isin(m.study.observation.rows, good)) for m in (asked, after)] if len(good) else whole
-    goes = "falls" if of_good[1] < of_good[0] else "goes"
-    figures, usual = ([f"{length(v)}" for v in values] for values in (whole, of_good))
-    begin = f"Added{', with what every robot has' if assessment.usual else ''}, the error on held-out poses {goes} from"
-    if usual == figures:
-        return f"{begin} {figures[0]} to {figures[1]}."
-    return f"{begin} {usual[0]} to {usual[1]} without the readings that stand out, from {figures[0]} to {figures[1]} with them."
 
 
 def _in_brackets(parts: Parts | None) -> str:

@@ -75,6 +75,24 @@ def test_a_plainly_wrong_last_reading_is_kept_where_the_readings_of_later_poses_
     assert "station_shift" in diagnose(measured(5, later=True)).verdict.effects
 
 
+def by_two_reflectors(session: Session) -> Session:
+    """Each reading again by a second reflector at the same place."""
+    twice = session.select(np.repeat(np.arange(len(session)), 2))
+    noise = np.random.default_rng(5).normal(0.0, 8e-6, (len(twice), 3)) * np.tile([0.0, 1.0], len(session))[:, None]
+    markers = (*session.markers, replace(session.markers[0], name="B"))
+    return replace(
+        twice, marker=np.tile([0, 1], len(session)), markers=markers, p_marker_in_station=twice.p_marker_in_station + noise
+    )
+
+
+def test_a_step_that_several_reflectors_show_lasts_as_one_reflectors_does() -> None:
+    """Left out as plainly wrong, row by row of each reflector, it would be no cause."""
+    once, lasting = (by_two_reflectors(measured(5, later=later)) for later in (False, True))
+    rows = np.flatnonzero((lasting.pose == POSE) & (lasting.load_case == 5))
+    assert not set(rows) & set(prepare(once, start_terms(once)).observation.rows)
+    assert set(rows) <= set(prepare(lasting, start_terms(lasting)).observation.rows)
+
+
 def test_a_station_that_is_bumped_between_a_reference_and_its_load_cases_is_named_wherever_it_stands() -> None:
     quiet = measured()
     reference = quiet.stamp[(quiet.pose == POSE) & (quiet.load_case == 0)].max()
