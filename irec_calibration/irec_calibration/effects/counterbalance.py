@@ -20,9 +20,9 @@ NAMES = ("a", "b", "a_twice", "b_twice")
 PRELOAD = ("p_a", "p_b", "p_a_twice", "p_b_twice")
 HEAVY = 1000.0  # N m about axis 2 by the arm's own weight; arms below that have no balancer
 WITHOUT = -5.0  # odds of 150 against one, natural log
-# Of the compliance of axis 2, beside a balancer. Those of heavy arms change it by +-10 to 25 % with posture; chosen: twice
+# Of the compliance of axis 2, beside a balancer. Those of heavy arms change it by +-10 to 25 % with posture; chosen: three times
 # that, as it is on the simulators of others.
-LEAST_LEFT = 1 / 3
+LEAST_LEFT = 0.25
 
 
 class Counterbalance(Effect):

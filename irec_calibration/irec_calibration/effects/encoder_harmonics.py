@@ -17,6 +17,9 @@ from .traits import Cause, Family
 LARGEST = 1.5e-3  # rad; ten times the transmission error of sound gears (0.5 arcmin), beyond any eccentric disc that still counts
 UPRIGHT = 0.01  # of the rated torque, up to which the weight of the arm says nothing of the side on which play lies
 CANCEL = 8.0  # times what the curve of an axis deviates from its mean; harmonics so much larger take each other away
+# Log odds in a loaded session, chosen: only an encoder far out of order shows in differences at one pose, and whatever goes with
+# the angles by which a reference stands elsewhere (a hose, a warm link) looks like one.
+IN_DIFFERENCES = -12.0
 
 
 class EncoderHarmonics(Effect):
@@ -28,6 +31,7 @@ class EncoderHarmonics(Effect):
         "all but cancels."
     )
     family = Family.ANGLE_ERROR
+    beside = "geometry_error"  # over a short travel a harmonic is a joint's zero and little else
     cause = Cause.STATE
     turns_by_angle = True
     needs = ("tracker", "weight")
@@ -43,8 +47,7 @@ class EncoderHarmonics(Effect):
         )
 
     def log_odds(self, scene: Scene) -> float:
-        # only an encoder far out of order shows in differences at one pose; geometry is then the likelier cause
-        return -4.0 if scene.kind == "loaded" else 0.0
+        return IN_DIFFERENCES if scene.kind == "loaded" else 0.0
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         columns = scene.J[:, :, :, None] * self._waves(scene)[:, None]
