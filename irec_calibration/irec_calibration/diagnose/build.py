@@ -20,6 +20,7 @@ from .candidates import Option, Trial, options
 from .explanation import Explanation, reshaped_again, without
 from .family import Family
 from .level import family_in_view
+from .more_parts import with_more_parts
 from .naming import needed, odds_of, refused
 from .remainder import grow
 from .rivals import Check, InPlace, Rivals, rivals_of
@@ -111,7 +112,10 @@ class _Way:
             most of the work.
         """
         found = [o for o in self.found if o.effect.id not in fallen]
-        while len(self.steps[-1].added) < self.settings.most_names:
+        while True:
+            self.steps[-1] = with_more_parts(self.steps[-1], self.family, self.check, self.settings)
+            if len(self.steps[-1].added) >= self.settings.most_names:
+                return None
             self.check()
             known = [t for t in self.trials if t.effect.id not in fallen] if len(self.steps) == 1 else None
             taken = self._one(found, known)
@@ -130,7 +134,6 @@ class _Way:
                 if any(set(s.ids) == set(less.ids) for s in self.steps):
                     return None
                 self.steps.append(less)
-        return None
 
     def _one(self, found: Sequence[Option], known: Sequence[Trial] | None) -> Explanation | None:
         """The last model with one effect more; those that are weighed beside another come after all others."""
