@@ -24,7 +24,6 @@ import csv
 import datetime
 import io
 import math
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,8 +31,8 @@ from typing import Any
 import yaml
 
 from ..errors import SessionError
-from ..files import read_document
-from ..files.regular import TABLE_LIMIT, is_there, read_bytes
+from ..files import all_or_none, read_document, write_file
+from ..files.regular import TABLE_LIMIT, URDF_LIMIT, is_there, read_bytes
 from ..typing import Json
 from .data import Session
 from .header import FORMAT as SESSION_FORMAT
@@ -107,7 +106,6 @@ def import_table(profile_path: str | Path, table: str | Path, folder: str | Path
     profile = Profile(profile_path)
     rows, notes = _rows(profile, Path(table))
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     header = {"format": SESSION_FORMAT, **profile.session}
     if name:
         header["name"] = name
@@ -115,13 +113,15 @@ def import_table(profile_path: str | Path, table: str | Path, folder: str | Path
     urdf = profile.path.parent / str(robot.get("urdf", ""))
     if not (is_there(urdf) and urdf.is_file()):
         raise SessionError(f"{profile.path}: session: robot: urdf: {urdf} is not there")
-    shutil.copyfile(urdf, folder / "robot.urdf")
     header["robot"] = {**robot, "urdf": "robot.urdf"}
-    (folder / "session.yaml").write_text(yaml.safe_dump(header, sort_keys=False, allow_unicode=True), encoding="utf-8")
     names = list(dict.fromkeys(n for row in rows for n in row))
     lines = [",".join(names)] + [",".join(row[n] for n in names) for row in rows]
-    (folder / "samples.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    session = read_table(folder)
+    described = read_bytes(urdf, "robot description", SessionError, URDF_LIMIT)
+    with all_or_none():  # a table that can't be read back leaves nothing either
+        write_file(folder / "robot.urdf", described, error=SessionError)
+        write_file(folder / "session.yaml", yaml.safe_dump(header, sort_keys=False, allow_unicode=True), error=SessionError)
+        write_file(folder / "samples.csv", "\n".join(lines) + "\n", error=SessionError)
+        session = read_table(folder)
     return replace(session, notes=(*notes, *session.notes))
 
 
