@@ -151,10 +151,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.errno not in OF_THE_MACHINE:
             raise
-        place = error.filename or "standard output"
-        print(f"irec {args.command}: error: {place}: can't be read or written: {error.strerror}", file=sys.stderr)
         if error.filename is None:
             _leave_standard_output()
+        place = "standard output can't be written" if error.filename is None else f"{error.filename}: can't be read or written"
+        print(f"irec {args.command}: error: {place}: {error.strerror}", file=sys.stderr)
         return 2
 
 
