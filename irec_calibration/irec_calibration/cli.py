@@ -84,7 +84,7 @@ def _keep_inputs(args: argparse.Namespace) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one subcommand; 0 done, 1 done but bad news, 2 bad input."""
+    """Run one subcommand; 0 done, 1 done but bad news, 2 bad input or output that can't be written."""
     given = list(sys.argv[1:] if argv is None else argv)
     completing = "_ARGCOMPLETE" in os.environ
     if not given and not completing:

@@ -34,6 +34,7 @@ from ..errors import SessionError
 from ..files import all_or_none, read_document, write_file
 from ..files.regular import TABLE_LIMIT, URDF_LIMIT, is_there, read_bytes
 from ..typing import Json
+from .columns import SEP_LINE, in_short
 from .data import Session
 from .header import FORMAT as SESSION_FORMAT
 from .table import read_table
@@ -133,7 +134,8 @@ def _rows(profile: Profile, table: Path) -> tuple[list[dict[str, str]], list[str
         for column in [spec.get("column"), *spec["plus"], *spec["minus"]]:
             if column is not None and column not in index:
                 raise SessionError(
-                    f"{profile.path}: columns: {target}: {table} has no column '{column}'; it has {', '.join(names)}"
+                    f"{profile.path}: columns: {target}: {table} has no column '{column}'; it has "
+                    f"{', '.join(map(in_short, names))}"
                 )
     notes, kept, dropped = [], [], 0
     for line, fields in lines:
@@ -198,7 +200,12 @@ def _read(profile: Profile, table: Path) -> tuple[list[str], list[tuple[int, lis
     if options.get("names"):
         names = [str(n) for n in options["names"]]
     elif lines:
-        names = lines.pop(0)[1]
+        first, names = lines.pop(0)
+        if SEP_LINE.fullmatch(",".join(names)):
+            raise SessionError(
+                f"{table}:{first}: is a line for spreadsheets (sep=); leave it out, or state table: skip_lines: {first} in the "
+                "profile"
+            )
     else:
         raise SessionError(f"{table}: the file is empty")
     if names and names[-1] == "":
@@ -244,9 +251,9 @@ def _number(text: str, decimal: str, where: str) -> float:
     try:
         value = float(text.replace(decimal, ".") if decimal != "." else text)
     except ValueError:
-        raise SessionError(f"{where}: '{text}' is not a number with decimal '{decimal}'") from None
+        raise SessionError(f"{where}: '{in_short(text)}' is not a number with decimal '{decimal}'") from None
     if not math.isfinite(value):
-        raise SessionError(f"{where}: {text} is not a finite number; name it under missing: text")
+        raise SessionError(f"{where}: {in_short(text)} is not a finite number; name it under missing: text")
     return value
 
 
@@ -254,7 +261,7 @@ def _time(text: str, form: str, where: str) -> float:
     try:
         when = datetime.datetime.fromisoformat(text) if form == "iso" else datetime.datetime.strptime(text, form)
     except ValueError:
-        raise SessionError(f"{where}: '{text}' is not a time of the form '{form}'") from None
+        raise SessionError(f"{where}: '{in_short(text)}' is not a time of the form '{form}'") from None
     if when.tzinfo is None:
         when = when.replace(tzinfo=datetime.UTC)
     return when.timestamp()

@@ -13,7 +13,7 @@ from ..errors import SessionError
 from ..files import all_or_none, write_file
 from ..robot import Robot
 from ..typing import Array, IntArray
-from .columns import XYZ, Columns
+from .columns import XYZ, Columns, in_short
 from .copies import check_copies
 from .data import Session
 from .header import Header, described, read_header
@@ -65,7 +65,7 @@ def session_from_columns(header: Header, robot: Robot, columns: Columns, folder:
     notes += _unknown_cases(columns, header, load_case)
     unknown = [n for n in columns.names if n not in columns.used]
     if unknown:
-        notes.append(f"columns ignored: {', '.join(unknown)}")
+        notes.append(f"columns ignored: {', '.join(map(in_short, unknown))}")
     meta = header.meta if clock == header.clock else {**header.meta, "clock": clock}
     session = Session(
         name=header.name, kind=header.kind, robot=robot, serial=header.serial, pose=pose, load_case=load_case,
@@ -159,7 +159,9 @@ def _index(columns: Columns, name: str, names: list[str]) -> IntArray:
         if text == "":
             continue
         if text not in names:
-            raise SessionError(f"{columns.where(i, name)}: '{text}' is not declared in session.yaml ({', '.join(names)})")
+            raise SessionError(
+                f"{columns.where(i, name)}: '{in_short(text)}' is not declared in session.yaml ({', '.join(names)})"
+            )
         out[i] = names.index(text)
     return out
 
