@@ -52,7 +52,8 @@ def _names_in(index: Path) -> list[str]:
     except YamlProblem as error:
         raise RecordingError(f"{index}:{error.line}: {error.text}; remove the file to read without") from None
     information = data.get("rosbag2_bagfile_information") if isinstance(data, dict) else None
-    names = information.get("relative_file_paths") if isinstance(information, dict) else None
+    information = information if isinstance(information, dict) else {}
+    names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) and name for name in names):
         raise RecordingError(f"{index} is no metadata of a rosbag2 folder (relative_file_paths); remove it to read without")
     if str(information.get("compression_mode")).upper() == "MESSAGE":
