@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -52,6 +54,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
+# what a disk or its rights refuse; anything else (no such file, ...) is a mistake of the program where nobody has caught it
+OF_THE_MACHINE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO)
 WRITTEN = ("output", "picture")  # arguments that name a file to be written; all others may name one that is read
 
 
@@ -80,7 +84,7 @@ def _keep_inputs(args: argparse.Namespace) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one subcommand; 0 done, 1 done but bad news, 2 bad input."""
+    """Run one subcommand; 0 done, 1 done but bad news, 2 bad input or output that can't be written."""
     given = list(sys.argv[1:] if argv is None else argv)
     completing = "_ARGCOMPLETE" in os.environ
     if not given and not completing:
@@ -127,6 +131,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         follow = "" if getattr(args, "json", False) else what_follows(args.command, vars(args))
         if follow:
             print(follow)
+        sys.stdout.flush()  # what can't be written is told here, and not by the interpreter when it ends
         return code
     except Cancelled as error:
         print(f"irec {args.command}: {error}", file=sys.stderr)
@@ -141,8 +146,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"irec {args.command}: cancelled", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        sys.stderr.close()
+        _leave_standard_output()
         return 0
+    except OSError as error:
+        if error.errno not in OF_THE_MACHINE:
+            raise
+        if error.filename is None:
+            _leave_standard_output()
+        place = "standard output can't be written" if error.filename is None else f"{error.filename}: can't be read or written"
+        print(f"irec {args.command}: error: {place}: {error.strerror}", file=sys.stderr)
+        return 2
+
+
+def _leave_standard_output() -> None:
+    """Send what is still to be printed nowhere: it can't be written, and the interpreter would try again when it ends."""
+    with contextlib.suppress(OSError, ValueError):  # of a stream that is no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from irec_calibration.files import check_replaceable
+from irec_calibration.files import check_replaceable, write_file
 from irec_calibration.files.outputs import TAPS
 from irec_calibration.files.regular import TABLE_LIMIT, read_text
 from irec_calibration.sensors.look_ahead import LONGEST
@@ -120,7 +120,7 @@ def write_taps(path: str | Path, table: TapTable) -> None:
     for posture, taps in zip(table.postures, numbers, strict=True):
         rows += [",".join(f"{x:.10g}" for x in (*posture, *tap)) for tap in taps]
     check_replaceable(path, "a table of a filter", TAPS, SettingsError)
-    Path(path).write_text("\n".join(rows) + "\n", encoding="utf-8")
+    write_file(path, "\n".join(rows) + "\n", error=SettingsError)
 
 
 def read_taps(path: str | Path, joint_names: Sequence[str] = ()) -> TapTable:

@@ -15,6 +15,7 @@ from ..files.document import one_line
 from ..files.regular import read_text
 from ..files.schema import format_names
 from ..files.yaml_text import YamlProblem, parse_yaml
+from ..session import is_bag, read_session
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -64,7 +65,7 @@ def _kind(path: Path) -> tuple[str, Check]:
 
     Raises IrecError: none of ours.
     """
-    if path.is_dir() or path.suffix == ".mcap" or path.name == "samples.csv":
+    if path.is_dir() or is_bag(path) or path.name == "samples.csv":
         return "irec-session/1", _session
     if path.suffix.lower() in (".urdf", ".xml"):
         return "URDF", _urdf
@@ -108,7 +109,6 @@ def _model(path: Path) -> tuple[list[str], list[str]]:
 
 
 def _session(path: Path) -> tuple[list[str], list[str]]:
-    from ..session import read_session
     from ..session.plausible import judged
 
     if path.name in ("samples.csv", "session.yaml"):

@@ -16,11 +16,13 @@ from ..codec.algorithm1 import ESTIMATOR
 from ..codec.follow import follow
 from ..codec.growth import growth_of
 from ..errors import IrecError, PlanError
+from ..files import all_or_none
 from ..identification.absolute import base_terms
 from ..model import EIGHTEEN_DOF, SIX_DOF, Term, blank_model
 from ..model.file import check_belongs, load_model
 from ..poses.select import METHODS
 from ..report.codec_charts import save_arrays, save_chart, save_table
+from ..report.style import pyplot
 from ..session import Session, read_session
 
 COMPARISONS = {
@@ -61,16 +63,18 @@ def run(args: argparse.Namespace) -> int:
     session = read_session(args.session)
     codecs = _codecs(session, args)
     folder = Path(args.output)
-    folder.mkdir(parents=True, exist_ok=True)
     files = []
-    for codec in codecs:
-        stem = "codec" if len(codecs) == 1 else "codec_" + "".join(c if c.isalnum() else "_" for c in codec.label)
-        files += [save_arrays(codec, folder / f"{stem}.npz"), save_table(codec, folder / f"{stem}.csv")]
     missing = ""
     try:
-        files.append(save_chart(codecs, folder / "codec.png", session.name))
+        pyplot()
     except IrecError as error:
         missing = str(error)
+    with all_or_none():
+        for codec in codecs:
+            stem = "codec" if len(codecs) == 1 else "codec_" + "".join(c if c.isalnum() else "_" for c in codec.label)
+            files += [save_arrays(codec, folder / f"{stem}.npz"), save_table(codec, folder / f"{stem}.csv")]
+        if not missing:
+            files.append(save_chart(codecs, folder / "codec.png", session.name))
     figures = [_figures(codec) for codec in codecs]
     if args.json:
         print(json.dumps({"session": session.name, "files": [str(f) for f in files], "codecs": figures}))
@@ -95,7 +99,6 @@ def _follow(args: argparse.Namespace) -> int:
     if args.compare or len(models) > 1 or Path(models[0]).exists():
         raise PlanError("--follow takes one model by its effects (--model 6, 18 or ids), and no comparison")
     folder = Path(args.output)
-    folder.mkdir(parents=True, exist_ok=True)
     for news in follow(args.session, _blank(models[0])):
         if news.codec is not None:
             save_chart([news.codec], folder / "codec.png", Path(args.session).name)

@@ -12,6 +12,7 @@ from pathlib import Path
 from ..diagnose import Comparison, compare, finite
 from ..diagnose.tables import write_comparison
 from ..effects.of_session import carrying
+from ..files import all_or_none
 from ..lengths import length
 from ..model.file import check_belongs, load_model
 from ..report.diagnosis import compare_section
@@ -34,8 +35,9 @@ def run(args: argparse.Namespace) -> int:
     result = compare(carrying(session, model.carried), model.terms, model.sag_share)
     if args.output:
         folder = Path(args.output)
-        write_comparison(result, session, folder / "residuals.csv")
-        report(lambda: [_page(result, session, folder, model.effects, args)])
+        with all_or_none():
+            write_comparison(result, session, folder / "residuals.csv")
+            report(lambda: [_page(result, session, folder, model.effects, args)])
     print(json.dumps(finite(as_json(result))) if args.json else in_words(result))
     return 0
 

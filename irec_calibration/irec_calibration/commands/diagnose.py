@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..diagnose import Diagnosis, diagnose, write_json
 from ..diagnose.tables import write_tables
+from ..files import all_or_none
 from ..identification.validation import ESTIMATOR
 from ..report.diagnosis import write_diagnosis_report
 from ..report.next_steps import after_diagnosis, in_lines
@@ -35,9 +36,10 @@ def run(args: argparse.Namespace) -> int:
     model = starting_model(args, session)
     result = diagnose(session, model, progress=Progress())
     folder = Path(args.output)
-    path = write_json(result.to_json(), folder / "diagnosis.json")
-    write_tables(result, session, folder)
-    files = report(lambda: write_diagnosis_report(result, session, folder, named=(args.session, args.model or "")))
+    with all_or_none():
+        path = write_json(result.to_json(), folder / "diagnosis.json")
+        write_tables(result, session, folder)
+        files = report(lambda: write_diagnosis_report(result, session, folder, named=(args.session, args.model or "")))
     if args.json:
         print(json.dumps(result.to_json()))
     else:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import signal
 
 from ..errors import RecordingError
-from ..files import check_replaceable
+from ..files import check_replaceable, write_file
 from ..files.outputs import TAPS
 from ..sensors.latency import find_latency
 from ..sensors.look_ahead import Design, design, spectrum
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     taps = found.taps / found.taps.sum()
     rows = ["force_x,force_y,force_z", *(",".join([f"{x:.10g}"] * 3) for x in taps)]
     check_replaceable(args.output, "a table of a filter", TAPS, RecordingError)
-    args.output.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    write_file(args.output, "\n".join(rows) + "\n", error=RecordingError)
     _tell(args, found, noise, len(force) / RATE)
     return 0
 

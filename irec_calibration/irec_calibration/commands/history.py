@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..cell import read_cell
 from ..errors import IrecError
-from ..files import check_replaceable
+from ..files import check_replaceable, write_file
 from ..files.outputs import PICTURES
 from ..model.file import load_model
 from ..recertification.store import Store, calibration_folder
@@ -41,7 +41,7 @@ def _of_cell(args: argparse.Namespace) -> int:
         from ..report.certificate import trend_png  # draws: only when it is asked for
 
         check_replaceable(args.output, "a picture", PICTURES)
-        Path(args.output).write_bytes(trend_png(points))
+        write_file(args.output, trend_png(points))
     if args.json:
         print(json.dumps({"events": [asdict(e) for e in entries], "trend": [asdict(p) for p in points]}))
         return 0

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..diagnose import Ladder, improve, write_json
 from ..diagnose.tables import write_tables
-from ..files import check_no_input
+from ..files import all_or_none, check_no_input
 from ..identification.validation import ESTIMATOR
 from ..model.file import check_model_target, save_model
 from ..report import course
@@ -42,13 +42,14 @@ def run(args: argparse.Namespace) -> int:
     model = starting_model(args, session)
     ladder = improve(session, model, progress=Progress())
     folder = Path(args.output)
-    path = save_model(ladder.model, folder / "model.yaml")
-    write_json(ladder.to_json(), folder / "ladder.json")
-    write_json(ladder.before.to_json(), folder / "diagnosis.json")
-    write_tables(ladder.before, session, folder)
     driven = drive(args.cell, session, ladder.rungs[0].model, ladder.model)
-    named = (args.session, str(path))
-    files = report(lambda: write_ladder_report(ladder, session, folder, tuple(course_section(driven, folder)), named=named))
+    with all_or_none():
+        path = save_model(ladder.model, folder / "model.yaml")
+        write_json(ladder.to_json(), folder / "ladder.json")
+        write_json(ladder.before.to_json(), folder / "diagnosis.json")
+        write_tables(ladder.before, session, folder)
+        named = (args.session, str(path))
+        files = report(lambda: write_ladder_report(ladder, session, folder, tuple(course_section(driven, folder)), named=named))
     if args.json:
         print(json.dumps(ladder.to_json()))
     else:

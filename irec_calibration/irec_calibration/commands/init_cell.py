@@ -6,15 +6,15 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..cell.mesh import MESH_LIMIT
 from ..errors import CellError
-from ..files import read_text
+from ..files import all_or_none, read_bytes, read_text, write_file
 from ..files.regular import URDF_LIMIT
 from ..poses.check import cell_problems
 from ..poses.draft import Facts, cell_text, mesh_of_points, mesh_section, quaternion, shape_of
@@ -74,10 +74,29 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0: written, nothing wrong; 2: something is missing or wrong."""
     answers(args)
-    folder = args.output.parent
-    folder.mkdir(parents=True, exist_ok=True)
     if args.output.exists():
         raise CellError(f"{args.output} exists; choose another name or remove it")
+    with all_or_none():
+        urdf, notes = _write(args)
+    problems, more = cell_problems(args.output)
+    if args.json:
+        print(json.dumps({"cell": str(args.output), "urdf": str(urdf), "problems": problems, "notes": notes + more}))
+        return 2 if problems else 0
+    for note in notes + more:
+        print(f"note: {note}")
+    for problem in problems:
+        print(problem)
+    print(f"wrote {args.output} and {urdf}; look at it: irec show-cell {args.output}; then: irec plan {args.output}")
+    return 2 if problems else 0
+
+
+def _write(args: argparse.Namespace) -> tuple[Path, list[str]]:
+    """Write cell file, robot description and mesh; returns the path of the description, and notes on what was recognised.
+
+    Raises:
+        IrecError: what was given can't be used, or one of the files can't be written.
+    """
+    folder = args.output.parent
     notes: list[str] = []
     text = read_text(args.urdf, "robot description", CellError, URDF_LIMIT)
     moved = tuple(args.tool_xyz or (0, 0, 0)), tuple(math.radians(v) for v in args.tool_rpy or (0, 0, 0))
@@ -110,27 +129,18 @@ def run(args: argparse.Namespace) -> int:
         elif source.resolve() != target.resolve():
             if not source.is_file():
                 raise CellError(f"{source}: the mesh is not there")
-            shutil.copyfile(source, target)
+            write_file(target, read_bytes(source, "mesh", CellError, MESH_LIMIT), error=CellError)
         section, shape, said = mesh_section(target, target.name, R, p, seen_from, args.scale)
         notes += said
-    urdf.write_text(made, encoding="utf-8")
+    write_file(urdf, made, error=CellError)
     facts = Facts(
         args.name, args.serial, urdf.name, robot, section, xyz, quat, shape, stations, tuple(args.marker),  # type: ignore[arg-type]
         (tuple(args.rail[:3]), tuple(args.rail[3:])) if args.rail else None, args.sensor_range,
         args.sensor_frame or ("tool0" if not robot.has_link(args.tool_frame) else args.tool_frame), args.payload, args.friction,
         np.array(args.home) if args.home else None, tuple(args.joint_names or ()),
     )  # fmt: skip
-    args.output.write_text(cell_text(facts), encoding="utf-8")
-    problems, more = cell_problems(args.output)
-    if args.json:
-        print(json.dumps({"cell": str(args.output), "urdf": str(urdf), "problems": problems, "notes": notes + more}))
-        return 2 if problems else 0
-    for note in notes + more:
-        print(f"note: {note}")
-    for problem in problems:
-        print(problem)
-    print(f"wrote {args.output} and {urdf}; look at it: irec show-cell {args.output}; then: irec plan {args.output}")
-    return 2 if problems else 0
+    write_file(args.output, cell_text(facts), error=CellError)
+    return urdf, notes
 
 
 def answers(args: argparse.Namespace) -> None:

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..diagnose.result import finite
+from ..files import all_or_none, write_file
 from ..sensors.joint_recording import read_recordings
 from ..sensors.joint_stiffness import Axis, JointStiffness, Trajectory, joint_stiffness
 
@@ -26,9 +27,9 @@ def run(args: argparse.Namespace) -> int:
     data = finite(asdict(result))
     if args.output:
         folder = Path(args.output)
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "joint_stiffness.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-        _draw(recordings, result, folder / "joint_stiffness.png")
+        with all_or_none():
+            write_file(folder / "joint_stiffness.json", json.dumps(data, indent=1) + "\n")
+            _draw(recordings, result, folder / "joint_stiffness.png")
     print(json.dumps(data) if args.json else in_words(result))
     return 0 if any(a.identified for a in result.axes) else 1
 
@@ -73,7 +74,7 @@ def _draw(recordings: list[Trajectory], r: JointStiffness, path: Path) -> None:
     import numpy as np
     from scipy.signal import savgol_filter
 
-    from ..report.style import pyplot
+    from ..report.style import pyplot, save
 
     plt = pyplot()
     figure, axes = plt.subplots(2, len(r.axes), figsize=(4.2 * len(r.axes), 6.4), squeeze=False, layout="constrained")
@@ -99,5 +100,4 @@ def _draw(recordings: list[Trajectory], r: JointStiffness, path: Path) -> None:
         axes[1, column].set_title(title)
     axes[0, 0].set_ylabel("motor - link, urad")
     axes[1, 0].set_ylabel("motor - link without the skew, urad")
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    save(figure, path, 130)

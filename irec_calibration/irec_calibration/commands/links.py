@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 
 from ..errors import RecordingError
-from ..files import check_replaceable
+from ..files import check_replaceable, write_file
 from ..files.outputs import beginning
 from ..sensors.dry_drive import LINK, DryDriveTable, read_dry_drive
 
@@ -45,4 +45,4 @@ def write_table(path: Path, table: DryDriveTable) -> None:
     rows = [",".join([*table.names, *(LINK + n for n in table.names)])]
     rows += [",".join(f"{x:.9g}" for x in (*q, *link)) for q, link in zip(table.q, table.link, strict=True)]
     check_replaceable(path, "a table of these joints", (beginning(rows[0]),), RecordingError)
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    write_file(path, "\n".join(rows) + "\n", error=RecordingError)

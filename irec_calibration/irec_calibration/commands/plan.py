@@ -14,11 +14,13 @@ from ..cell import Cell, read_cell
 from ..diagnose.to_tell import Told, chosen_to_tell, in_words, left_open, tells
 from ..effects import find_effect
 from ..errors import IrecError
+from ..files import all_or_none
 from ..poses.plan import TURN, TURN_FROM, Plan, make_plan, pose_list, turn_for
 from ..poses.pool import Pool
 from ..poses.select import METHODS
 from ..poses.store import check_poses_target, write_poses
 from ..report.pose_picture import save_picture
+from ..report.style import pyplot
 from ..session import read_session
 from ..session.plausible import check_plausible
 from ..typing import IntArray
@@ -53,15 +55,18 @@ def run(args: argparse.Namespace) -> int:
     cell = read_cell(args.cell)
     target = check_poses_target(args.output or _poses_path(args, cell))
     plan, told = _plan(args, cell)
-    path = write_poses(pose_list(cell, plan), target)
     picture: Path | None = None
     missing = ""
     try:
-        picture = save_picture(cell, plan, args.picture or path.with_suffix(".png"))
+        pyplot()
     except IrecError as error:
         if args.picture:
             raise
         missing = str(error)
+    with all_or_none():
+        path = write_poses(pose_list(cell, plan), target)
+        if not missing:
+            picture = save_picture(cell, plan, args.picture or path.with_suffix(".png"))
     if args.json:
         about = {"poses": str(path), "picture": str(picture) if picture else None}
         print(json.dumps({**about, "drawn": plan.pool.drawn, "rejected": plan.pool.rejected, "pool": len(plan.pool), **{

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 
 import numpy as np
 
 from ..effects.of_session import scene_of
-from ..files import check_replaceable
+from ..files import check_replaceable, write_file
 from ..files.outputs import beginning
 from ..model.file import check_belongs, load_model
 from ..session import read_session
@@ -36,10 +35,7 @@ def run(args: argparse.Namespace) -> int:
     for i in rows:
         key = f"{session.pose[i]},{session.load_case[i]},{session.repeat[i]}"
         lines.append(key + "".join(f",{v:.9e}" for v in deflection[i]))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    os.replace(part, path)
+    write_file(path, "\n".join(lines) + "\n")
     size = np.linalg.norm(deflection[rows], axis=1)
     summary = {"predictions": str(path), "rows": len(rows), "mean_m": float(size.mean()), "max_m": float(size.max())}
     print(json.dumps(summary) if args.json else

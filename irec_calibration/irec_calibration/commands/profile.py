@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import RecordingError
-from ..files import check_replaceable
+from ..files import check_replaceable, write_file
 from ..files.outputs import beginning
 from ..sensors.course_recording import RecordedCourse, read_course
 from ..sensors.force_profile import HEAD, SMOOTH, TAIL, CommonForce, ForcedCourse, common_force, smoothed
@@ -56,7 +56,7 @@ def write_table(path: Path, course: RecordedCourse, force: Array) -> None:
     for k, (q, f) in enumerate(zip(course.q, force, strict=True)):
         rows.append(",".join([f"{k * course.period:.6f}", *(f"{x:.9g}" for x in q), *(f"{x:.3f}" for x in f)]))
     check_replaceable(path, "a table of this course", (beginning(rows[0]),), RecordingError)
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    write_file(path, "\n".join(rows) + "\n", error=RecordingError)
 
 
 def _tell(args: argparse.Namespace, found: CommonForce, count: int, largest: float) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from ..diagnose import Diagnosis, diagnose, write_json
 from ..diagnose.tables import write_tables
 from ..errors import IrecError
+from ..files import all_or_none
 from ..report.course import course_section, drive, in_words, with_named_effects
 from ..report.diagnosis import write_diagnosis_report
 from ..report.next_steps import after_diagnosis, in_lines
@@ -36,12 +37,13 @@ def run(args: argparse.Namespace) -> int:
         raise IrecError(f"a report needs {' and '.join(missing)}: pip install 'irec_calibration[report]'")
     result = diagnose(session, model, progress=Progress())
     folder = Path(args.output)
-    write_json(result.to_json(), folder / "diagnosis.json")
-    write_tables(result, session, folder)
     driven = drive(args.cell, session, result.model, with_named_effects(result, session)) if args.cell else ""
-    more = course_section(driven, folder)
-    more += [] if args.plain else turnable(result, session)
-    files = write_diagnosis_report(result, session, folder, named=(args.session, args.model or ""), more=more)
+    with all_or_none():
+        write_json(result.to_json(), folder / "diagnosis.json")
+        write_tables(result, session, folder)
+        more = course_section(driven, folder)
+        more += [] if args.plain else turnable(result, session)
+        files = write_diagnosis_report(result, session, folder, named=(args.session, args.model or ""), more=more)
     if args.json:
         said = {"report": str(files[0]), "verdict": result.verdict.status, "effects": list(result.verdict.effects)}
         print(json.dumps({**said, "files": [str(f) for f in files]}))

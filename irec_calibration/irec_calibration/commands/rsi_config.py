@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 
 from ..errors import CellError
+from ..files import all_or_none, write_file
 
 TIMEOUT_PACKETS = 100
 CYCLES = {4: "#IPO_FAST", 12: "#IPO"}
@@ -30,13 +31,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0: written."""
     files = make(args.address, args.port, args.sentype, args.cycle_ms, args.limit_mm, args.limit_deg)
-    args.output.mkdir(parents=True, exist_ok=True)
-    for name, text in files.items():
-        (args.output / name).write_text(text, encoding="ascii")
-        if not args.json:
-            print(f"wrote {args.output / name}")
-    if args.json:
-        print(json.dumps({"files": [str(args.output / name) for name in files]}))
+    with all_or_none():
+        written = [str(write_file(args.output / name, text, error=CellError)) for name, text in files.items()]
+    print(json.dumps({"files": written}) if args.json else "\n".join(f"wrote {path}" for path in written))
     return 0
 
 

@@ -15,7 +15,7 @@ import pinocchio as pin
 import yaml
 
 from ..errors import RecordingError, RobotError
-from ..files import check_replaceable
+from ..files import check_replaceable, write_file
 from ..files.outputs import beginning
 from ..recording import BagReader
 from ..robot import Robot, parent_joint
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     fit = identify_tool_load(found.readings, R, alignment=args.alignment)
     if args.output:
         check_replaceable(args.output, "a parameter file of a tool load", (beginning("# Identified by irec tool-load"),))
-        args.output.write_text(parameter_file(fit.load, fit.se), encoding="utf-8")
+        write_file(args.output, parameter_file(fit.load, fit.se))
     print(json.dumps(_as_dict(fit), indent=2) if args.json else describe(fit))
     if args.output and not args.json:
         print(f"wrote {args.output}")

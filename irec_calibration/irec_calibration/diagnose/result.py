@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..files import write_file
 from ..identification.noise import InferredNoise
 from ..identification.validation import ESTIMATOR
 from ..model import Model, Term
@@ -310,10 +310,5 @@ def finite(value: Any) -> Any:
 
 
 def write_json(data: Json, path: str | Path) -> Path:
-    """Write a result file in one step."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(finite(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(part, path)
-    return path
+    """Write a result file in one step. IrecError: it can't be written."""
+    return write_file(path, json.dumps(finite(data), indent=2, allow_nan=False) + "\n")

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import csv
-import os
+import io
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from ..files import write_file
 from ..session.data import Session
 from .result import Comparison, Diagnosis
 
@@ -51,11 +52,9 @@ def write_comparison(c: Comparison, session: Session, path: Path) -> None:
 
 
 def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    with part.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(header)
-        for row in rows:
-            table.writerow(["" if isinstance(v, float) and v != v else f"{v:.6e}" if isinstance(v, float) else v for v in row])
-    os.replace(part, path)
+    text = io.StringIO()
+    table = csv.writer(text)
+    table.writerow(header)
+    for row in rows:
+        table.writerow(["" if isinstance(v, float) and v != v else f"{v:.6e}" if isinstance(v, float) else v for v in row])
+    write_file(path, text.getvalue())

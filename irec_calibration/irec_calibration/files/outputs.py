@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ..errors import IrecError
+from .writing import not_written
 
 HEAD = 4096  # bytes that tell what a file is
 PICTURES = (rb"\A\x89PNG", rb"\A%PDF", rb"<svg")  # patterns of their heads, as `kinds` of check_replaceable
@@ -51,7 +52,7 @@ def check_replaceable(path: str | Path, what: str, kinds: Iterable[bytes], error
     except FileNotFoundError:  # a link to nothing
         return path
     except (OSError, ValueError) as reason:
-        raise error(f"{path}: {what} can't be written: {getattr(reason, 'strerror', None) or reason}") from reason
+        raise error(not_written(path, reason, what)) from reason
     if head and not any(re.search(kind, head) for kind in kinds):
         raise error(f"{path}: exists and is not {what}; it is never overwritten by one: name another file")
     return path

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import math
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,7 @@ import yaml
 from ..effects import find_effect
 from ..effects.formula import FormulaEffect
 from ..errors import EffectError, IrecError, ModelError
-from ..files import Document, check_replaceable, open_document, read_bytes, read_document
+from ..files import Document, check_replaceable, open_document, read_bytes, read_document, write_file
 from ..files.outputs import of_format
 from ..robot import Robot
 from .model import Combination, Envelope, Model
@@ -52,16 +50,7 @@ def save_model(model: Model, path: str | Path) -> Path:
     if model.history:
         data["history"] = list(model.history)
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
-    part = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise ModelError(f"{path}: the model can't be written: {error.strerror or error}") from error
-    return path
+    return write_file(path, text, "the model", ModelError)
 
 
 def check_model_target(path: str | Path) -> Path:

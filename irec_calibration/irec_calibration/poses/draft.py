@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ..cell.mesh import facing_share, read_mesh
 from ..cell.surface import LARGEST, Block, MeshSurface, Patch, Surface
 from ..errors import CellError, PlanError
-from ..files import read_text
+from ..files import read_text, write_file
 from ..robot import Robot
 from ..typing import Array
 from .ik import Chain, solve_tool_axis, wrap_into_limits
@@ -121,7 +121,7 @@ def mesh_of_points(table: Path, target: Path, towards: Array) -> tuple[int, list
     text = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in points) + "".join(
         f"f {i + 1} {j + 1} {k + 1}\n" for i, j, k in triangles
     )
-    target.write_text(text, encoding="utf-8")
+    write_file(target, text, error=CellError)
     return len(points), notes
 
 

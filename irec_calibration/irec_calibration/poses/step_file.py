@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import CellError, one_line
+from ..files import write_file
 from ..files.regular import read_bytes
 
 STEP_SUFFIXES = (".step", ".stp")
@@ -46,7 +47,7 @@ def mesh_of_step(source: Path, target: Path) -> list[str]:
     vertices, corners = _triangles(source, data)
     text = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in vertices)
     text += "".join(f"f {i + 1} {j + 1} {k + 1}\n" for i, j, k in corners)
-    target.write_text(text, encoding="utf-8")
+    write_file(target, text, error=CellError)
     size = " x ".join(f"{v:.3g}" for v in np.ptp(vertices, axis=0))
     return [f"{source}: {len(corners)} triangles within {1e3 * DEVIATION:g} mm of its faces, {size} m large; wrote {target}"]
 

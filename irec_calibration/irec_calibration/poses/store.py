@@ -19,8 +19,6 @@ poses:                                            SI units, in the order in whic
 
 from __future__ import annotations
 
-import contextlib
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,7 +27,7 @@ import numpy as np
 import yaml
 
 from ..errors import PlanError
-from ..files import Document, check_replaceable, read_document
+from ..files import Document, check_replaceable, read_document, write_file
 from ..files.outputs import of_format
 from ..typing import Array
 
@@ -91,16 +89,8 @@ def write_poses(poses: PoseList, path: str | Path) -> Path:
             for pose in poses.poses
         ],
     }
-    part = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise PlanError(f"{path}: the poses can't be written: {error.strerror or error}") from error
-    return path
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+    return write_file(path, text, "the poses", PlanError)
 
 
 def check_poses_target(path: str | Path) -> Path:

@@ -21,11 +21,12 @@ from mcap.opcode import Opcode
 from mcap_ros2.decoder import DecoderFactory
 
 from ..errors import RecordingError
-from ..files import one_line, read_text
-from ..files.yaml_text import YamlProblem, parse_yaml
+from ..files import one_line
+from .bag_files import CONVERT, files_of
 from .unpack import check_definition, unpacked
 
 MAGIC = b"\x89MCAP0\r\n"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no message begins so: CDR begins with 0, JSON is text
 LARGEST_RECORD = 512 * 1024 * 1024  # bytes
 _MOST_LOSSES = 200  # sentences
 _MOST_UNKNOWN = 1000  # records of one chunk that MCAP 0 does not define
@@ -71,7 +72,7 @@ class BagReader:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self.files = _files_of(self.path)
+        self.files = files_of(self.path)
         self.topics: dict[str, Topic] = {}
         self.attachments: dict[str, bytes] = {}
         self.metadata: dict[str, dict[str, str]] = {}
@@ -81,14 +82,21 @@ class BagReader:
         self._checked: set[str] = set()
 
     def messages(self, topics: Collection[str] | None = None, progress: Progress | None = None) -> Iterator[RawMessage]:
-        """Messages in the order of the file, all topics or those named; progress(bytes read, bytes in all) per chunk."""
+        """Messages in the order of the file, all topics or those named; progress(bytes read, bytes in all) per chunk.
+
+        Raises:
+            RecordingError: not MCAP, or messages that are compressed one by one.
+        """
         self.losses.clear()
         self.expected = None
         total = sum(file.stat().st_size for file in self.files)
         before = 0
         for file in self.files:
             report = None if progress is None else _shifted(progress, before, total)
-            yield from _File(self, file, topics).read(report)
+            for message in _File(self, file, topics).read(report):
+                if message.data.startswith(ZSTD_MAGIC):
+                    raise RecordingError(f"{file} is compressed message by message ({message.topic.name}: zstd); {CONVERT}")
+                yield message
             before += file.stat().st_size
 
     def decode(self, message: RawMessage) -> Any:
@@ -115,44 +123,6 @@ class BagReader:
                     f"is no {topic.type_name} ({error})"
                 )[:1000]
             ) from error
-
-
-def _files_of(path: Path) -> tuple[Path, ...]:
-    if path.is_file():
-        if path.suffix != ".mcap":
-            raise RecordingError(f"{path} is no .mcap file; convert it with ros2 bag convert")
-        return (path,)
-    if not path.is_dir():
-        raise RecordingError(f"{path} does not exist")
-    index = path / "metadata.yaml"
-    if index.is_file():
-        names = _names_in(index)
-        missing = [name for name in names if not (path / name).is_file()]
-        if missing:
-            raise RecordingError(f"{index} names {missing[0]}, which is not there; restore it or remove metadata.yaml")
-        if any(not name.endswith(".mcap") for name in names):
-            raise RecordingError(f"{path} is a rosbag2 folder without MCAP ({names[0]}); convert it with ros2 bag convert")
-        return tuple(path / name for name in names)
-    files = tuple(sorted(path.glob("*.mcap")))
-    if not files:
-        raise RecordingError(f"{path} holds no .mcap file")
-    return files
-
-
-def _names_in(index: Path) -> list[str]:
-    """The files that a metadata.yaml names: plain names beside it, never a path that leads elsewhere."""
-    try:
-        data, _ = parse_yaml(read_text(index, "metadata of a rosbag2 folder", RecordingError))
-    except YamlProblem as error:
-        raise RecordingError(f"{index}:{error.line}: {error.text}; remove the file to read without") from None
-    information = data.get("rosbag2_bagfile_information") if isinstance(data, dict) else None
-    names = information.get("relative_file_paths") if isinstance(information, dict) else None
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) and name for name in names):
-        raise RecordingError(f"{index} is no metadata of a rosbag2 folder (relative_file_paths); remove it to read without")
-    for name in names:
-        if Path(name).name != name or not name.isprintable():
-            raise RecordingError(one_line(f"{index} names {name!r}; only files beside it are read: correct relative_file_paths"))
-    return [str(name) for name in names]
 
 
 def _shifted(progress: Progress, before: int, total: int) -> Progress:

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import RecordingError
+from ..errors import IrecError, RecordingError
+from ..files.yaml_text import YamlProblem, parse_yaml
+from ..robot import Robot
 from ..typing import Array
 from .frames import FRAMES, frame_of, misplaced
 from .read import BagReader, RawMessage, Topic
@@ -229,7 +231,7 @@ def _for_a_session(bag: BagReader, series: dict[str, _Series]) -> tuple[list[str
         except (RecordingError, AttributeError, TypeError) as error:
             lacking.append(f"joint angles that can be read: {error}")
             continue
-        if not any(joint == "joint_1" for joint in joints):
+        if "joint_1" not in joints and not _says_itself(bag, joints):
             lacking.append(
                 f"{name} names its joints {', '.join(joints)}; a session calls them joint_1 to joint_n: "
                 "list them from base to tool in the mapping file (joints: names) or as robot.joint_names of session.yaml"
@@ -262,3 +264,13 @@ def _for_a_session(bag: BagReader, series: dict[str, _Series]) -> tuple[list[str
         "which samples belong to which pose and load case: no irec_msgs/LoadCaseRecord",
     )
     return present, lacking
+
+
+def _says_itself(bag: BagReader, joints: list[str]) -> bool:
+    """Whether session.yaml and robot description, attached, say which of these joints is which, as a session is read."""
+    try:
+        listed = parse_yaml(bag.attachments["session.yaml"].decode("utf-8-sig"))[0]["robot"].get("joint_names")
+        names = listed or Robot(bag.attachments["robot.urdf"].decode("utf-8-sig"), "robot.urdf").joint_names
+        return set(names) <= set(joints)
+    except (KeyError, TypeError, AttributeError, UnicodeDecodeError, YamlProblem, IrecError):  # of those `irec check` tells
+        return False

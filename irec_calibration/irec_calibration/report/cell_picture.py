@@ -13,7 +13,7 @@ from ..files.outputs import PICTURES
 from ..poses.checker import Checker
 from ..poses.store import PoseList
 from ..typing import Array
-from .style import pyplot
+from .style import pyplot, save
 
 SEEN, HIDDEN, TOOL, ROBOT = "#009E73", "#D55E00", "#E69F00", "#0072B2"
 VIEWS = (("from above", (0, 1)), ("from the side", (0, 2)), ("from the front", (1, 2)))
@@ -69,11 +69,7 @@ def save_cell_picture(cell: Cell, poses: PoseList | None, path: str | Path) -> t
         if number == 2:
             flat.legend(loc="best", fontsize=8, frameon=False)
     figure.tight_layout()
-    path = check_replaceable(path, "a picture", PICTURES)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-    return path, lines
+    return save(figure, check_replaceable(path, "a picture", PICTURES), 110), lines
 
 
 def _draw(axes, k, arm, arms, hull, stations, marker, seen_by, box, cell) -> None:  # type: ignore[no-untyped-def]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import base64
 import io
-import os
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import IrecError
+from ..files import write_file
 from ..recertification.trend import TrendPoint
 from ..recertification.verdict import Kind, kind_of
 from .style import pyplot
@@ -64,21 +64,20 @@ def write_certificate(c: Certificate, folder: str | Path, name: str = "certifica
     """Write `<name>.html` and `<name>.pdf`; returns both paths.
 
     Raises:
-        IrecError: matplotlib or jinja2 is not installed.
+        IrecError: matplotlib or jinja2 is not installed, or one of the two can't be written.
     """
     try:
         from jinja2 import Environment
     except ImportError as error:
         raise IrecError("certificates need jinja2: pip install 'irec_calibration[report]'") from error
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     picture = base64.b64encode(trend_png(c.points)).decode() if len(c.points) > 1 else ""
     html = Environment(autoescape=True).from_string(TEMPLATE)
     text = html.render(c=c, picture=picture, colour=_colour(c.verdict), footer=FOOTER)
     page = folder / f"{name}.html"
-    _replace(page, text.encode())
+    write_file(page, text)
     pdf = folder / f"{name}.pdf"
-    _replace(pdf, _pdf(c))
+    write_file(pdf, _pdf(c))
     return page, pdf
 
 
@@ -194,9 +193,3 @@ def _pdf(c: Certificate) -> bytes:
     figure.savefig(buffer, format="pdf", bbox_inches=figure.bbox_inches)  # the whole sheet, not what is drawn on it
     plt.close(figure)
     return buffer.getvalue()
-
-
-def _replace(path: Path, data: bytes) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(data)
-    os.replace(part, path)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +15,9 @@ import numpy as np
 from ..codec import Codec
 from ..codec.growth import Growth, growth_of
 from ..errors import PlanError
+from ..files import write_file
 from ..typing import Array
-from .style import pyplot
+from .style import pyplot, save
 
 
 @dataclass(frozen=True)
@@ -42,28 +44,27 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00")
 
 def save_arrays(codec: Codec, path: str | Path) -> Path:
     """E_mu, E_m (n_cv, n_c, 3), norms (n_cv, n_c), m; C_a, C_v, rad/(N m); all parameters C, names; pose numbers."""
-    path = Path(path)
+    buffer = io.BytesIO()
     np.savez_compressed(
-        path, E_mu=codec.E_mean, E_m=codec.E_max, norm_mean=codec.norm_mean, norm_max=codec.norm_max,
+        buffer, E_mu=codec.E_mean, E_m=codec.E_max, norm_mean=codec.norm_mean, norm_max=codec.norm_max,
         C_a=codec.C_a, C_v=codec.C_v, C=codec.C, names=np.array(codec.names), verification=codec.verification,
         training=codec.training, floor_mean=codec.floor_mean, floor_max=codec.floor_max,
     )  # fmt: skip
-    return path
+    return write_file(path, buffer.getvalue())
 
 
 def save_table(codec: Codec, path: str | Path) -> Path:
     """One row for each combination and size of the training set: errors in m, parameters in their own units."""
-    path = Path(path)
     axes = [f"{kind}_{axis}_m" for kind in ("mean", "max") for axis in "xyz"]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["combination", "training_poses", *axes, "mean_norm_m", "max_norm_m", *codec.names])
-        n_cv, n_c = codec.norm_mean.shape
-        for i in range(n_cv):
-            for j in range(n_c):
-                errors = [*codec.E_mean[i, j], *codec.E_max[i, j], codec.norm_mean[i, j], codec.norm_max[i, j]]
-                writer.writerow([i + 1, j + 1, *(f"{value:.9g}" for value in (*errors, *codec.C[i, j]))])
-    return path
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(["combination", "training_poses", *axes, "mean_norm_m", "max_norm_m", *codec.names])
+    n_cv, n_c = codec.norm_mean.shape
+    for i in range(n_cv):
+        for j in range(n_c):
+            errors = [*codec.E_mean[i, j], *codec.E_max[i, j], codec.norm_mean[i, j], codec.norm_max[i, j]]
+            writer.writerow([i + 1, j + 1, *(f"{value:.9g}" for value in (*errors, *codec.C[i, j]))])
+    return write_file(path, text.getvalue())
 
 
 def save_chart(codecs: Sequence[Codec], path: str | Path, title: str = "") -> Path:
@@ -87,10 +88,7 @@ def save_chart(codecs: Sequence[Codec], path: str | Path, title: str = "") -> Pa
     axes[1].set_xlabel("Number of training poses")
     n_cv, n_v = codecs[0].verification.shape
     figure.suptitle(f"{title + ': ' if title else ''}{codecs[0].poses} poses, {n_cv} combinations of {n_v} verification poses")
-    path = Path(path)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    return path
+    return save(figure, path, 130)
 
 
 def _draw(ax: Any, codecs: Sequence[Codec], kind: _Kind) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import base64
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..errors import IrecError
+from ..files import write_file
 
 TEMPLATE = (Path(__file__).parent / "page.html.j2").read_text(encoding="utf-8")
 
@@ -77,7 +77,7 @@ def shown(cell: Any) -> str:
 
 
 def write_page(page: Page, path: str | Path) -> Path:
-    """Write the page with its figures inside. Raises IrecError where jinja2 is not installed."""
+    """Write the page with its figures inside. Raises IrecError: jinja2 is not installed, or it can't be written."""
     try:
         from jinja2 import Environment
     except ImportError as error:
@@ -90,9 +90,4 @@ def write_page(page: Page, path: str | Path) -> Path:
         return shown(cell)
 
     text = Environment(autoescape=True).from_string(TEMPLATE).render(page=page, encode=encode, show=show)
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
-    return path
+    return write_file(path, text)

@@ -11,7 +11,7 @@ from ..cell import Cell
 from ..files import check_replaceable
 from ..files.outputs import PICTURES
 from ..poses.plan import Plan
-from .style import pyplot
+from .style import pyplot, save
 
 
 def save_picture(cell: Cell, plan: Plan, path: str | Path) -> Path:
@@ -55,8 +55,4 @@ def save_picture(cell: Cell, plan: Plan, path: str | Path) -> Path:
         f"O1 {f['o1']:.3g}, condition {f['condition']:.3g}",
         y=0.98,
     )
-    path = check_replaceable(path, "a picture", PICTURES)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    return path
+    return save(figure, check_replaceable(path, "a picture", PICTURES), 130)

@@ -7,6 +7,8 @@ Topics: /robot_description, /tf, /tf_static, /joint_states, /wrench, /irec/scene
 
 from __future__ import annotations
 
+import os
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from mcap_ros2.writer import Writer
 
 from ..diagnose.result import Comparison
 from ..errors import RecordingError
+from ..files import write_file
 from ..robot.transforms import LinkTree, Transform
 from ..session import Session
 from ..typing import Array, IntArray
@@ -98,13 +101,9 @@ def write_scene(
     """
     tree = LinkTree(session.robot.urdf_text, session.robot.source)
     count = 0
-    try:
-        file = open(path, "xb")
-    except FileExistsError as error:
-        raise RecordingError(f"{path} exists already; recordings are never overwritten: name another file") from error
-    except OSError as error:
-        raise RecordingError(f"{path}: can't be written: {error.strerror}") from error
-    with file:
+    if os.path.lexists(path):
+        raise RecordingError(f"{path} exists already; recordings are never overwritten: name another file")
+    with BytesIO() as file:
         writer = Writer(file)
         types = {
             "/robot_description": ("std_msgs/msg/String", "string data\n"), "/tf": ("tf2_msgs/msg/TFMessage", TF),
@@ -138,6 +137,7 @@ def write_scene(
             if int(row) in residual:
                 put("/irec/residual", {"header": _header(now), "vector": _vector(residual[int(row)])}, now)
         writer.finish()
+        write_file(path, file.getvalue(), error=RecordingError)
     return count
 
 

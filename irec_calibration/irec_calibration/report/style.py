@@ -6,10 +6,12 @@ Colours are those of Okabe and Ito. Nothing is told by colour alone: lines also 
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
 from ..errors import IrecError
+from ..files import write_file
 
 BLUE, ORANGE, GREEN, RED, GREY, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#7a808a", "#CC79A7"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, RED, GREY)
@@ -49,10 +51,9 @@ def pyplot() -> Any:
     return plt
 
 
-def save(figure: Any, path: str | Path) -> Path:
-    """Write a figure as PNG and close it."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+def save(figure: Any, path: str | Path, dpi: int | None = None) -> Path:
+    """Write a figure as its suffix says (PNG, PDF, SVG) and close it. IrecError: it can't be written."""
+    buffer = io.BytesIO()  # a disk that is full is told of by write_file, as everywhere
+    figure.savefig(buffer, format=Path(path).suffix[1:] or "png", dpi=dpi or pyplot().rcParams["savefig.dpi"])
     pyplot().close(figure)
-    return path
+    return write_file(path, buffer.getvalue())

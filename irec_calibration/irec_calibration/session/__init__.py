@@ -9,7 +9,15 @@ from ..errors import SessionError
 from .data import ExternalAxis, Marker, Noise, Session, Station
 from .table import read_table, write_table
 
-__all__ = ["ExternalAxis", "Marker", "Noise", "Session", "Station", "read_session", "read_table", "write_table"]
+__all__ = ["ExternalAxis", "Marker", "Noise", "Session", "Station", "is_bag", "read_session", "read_table", "write_table"]
+
+BAGS = (".mcap", ".mcap.zstd", ".mcap.lz4", ".db3", ".db3.zstd")  # ends of names; of those that can't be read the reader says why
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a file is a recording by its name, or a folder holds one: MCAP, or one that has to be converted first."""
+    names = [p.name for p in path.iterdir()] if path.is_dir() else [path.name]
+    return any(name.endswith(BAGS) for name in names)
 
 
 def read_session(path: str | Path) -> Session:
@@ -25,7 +33,7 @@ def read_session(path: str | Path) -> Session:
         return read_table(path)
     if path.name == "session.yaml":
         return read_table(path.parent)
-    if path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
+    if is_bag(path):
         from .mcap_io import read_mcap  # needs the MCAP reader, not wanted for tables
 
         return read_mcap(path)

@@ -23,6 +23,8 @@ LARGEST = 1e12  # of any quantity in SI units; larger ones stand for "no value" 
 LARGEST_STAMP = 1e21  # ns since 1970 are 2e18
 LARGEST_INDEX = 10**9
 OTHER_MINUS = "\u2212\u2012\u2013\u2014"
+SEP_LINE = re.compile(r"\"?sep=.?.?\"?,*", re.IGNORECASE)  # by which spreadsheets tell each other the separator
+LONGEST_SHOWN = 60  # characters of a field or name in a message
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 
 
@@ -45,7 +47,7 @@ class Columns:
             raise SessionError(f"{path}:{rows[0][0]}: {unread}")
         doubled = {n for n in self.names if n and self.names.count(n) > 1}
         if doubled:
-            raise SessionError(f"{path}:1: column '{sorted(doubled)[0]}' appears more than once")
+            raise SessionError(f"{path}:1: column '{in_short(sorted(doubled)[0])}' appears more than once")
         self.lines = [line for line, _ in rows[1:]]
         if not self.lines:
             raise SessionError(f"{path}: no samples, only a header line")
@@ -66,7 +68,7 @@ class Columns:
         return len(self.lines)
 
     def where(self, row: int, name: str) -> str:
-        return f"{self.path}:{self.lines[row]}: column '{name}'"
+        return f"{self.path}:{self.lines[row]}: column '{in_short(name)}'"
 
     def text(self, name: str) -> list[str]:
         self.used.add(name)
@@ -93,15 +95,17 @@ class Columns:
             try:
                 out[i] = float(text)
             except ValueError:
-                raise SessionError(f"{self.where(i, name)}: '{text}' is not a number{_no_number(text)}") from None
+                raise SessionError(f"{self.where(i, name)}: '{in_short(text)}' is not a number{_no_number(text)}") from None
             if "_" in text:  # Python's own way to write thousands
-                raise SessionError(f"{self.where(i, name)}: '{text}' is not a number (digits are not separated)")
+                raise SessionError(f"{self.where(i, name)}: '{in_short(text)}' is not a number (digits are not separated)")
             if not math.isfinite(out[i]):
-                raise SessionError(f"{self.where(i, name)}: {text} is not a finite number; leave it empty if not measured")
+                raise SessionError(
+                    f"{self.where(i, name)}: {in_short(text)} is not a finite number; leave it empty if not measured"
+                )
             if abs(out[i]) > largest:
                 raise SessionError(
-                    f"{self.where(i, name)}: {text} is no measured value, at most {largest:g} is expected; leave it empty if not "
-                    "measured"
+                    f"{self.where(i, name)}: {in_short(text)} is no measured value, at most {largest:g} is expected; leave it "
+                    "empty if not measured"
                 )
         return out
 
@@ -124,11 +128,18 @@ class Columns:
         return out
 
 
+def in_short(text: str) -> str:
+    """A field or name of a table as it can stand in a message: one that is long by its beginning and its length."""
+    return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN // 2]}... ({len(text)} characters)"
+
+
 def _no_header(text: str, line: int, names: list[str]) -> str:
     """Why the first line with content is no header of ours, in words, or empty."""
     if "pose" in names:
         return ""
     first = text.splitlines()[line - 1].strip().strip(INVISIBLE).strip() if line <= len(text.splitlines()) else ""
+    if SEP_LINE.fullmatch(first):
+        return f"is a line for spreadsheets; leave out the line {first}: the first line holds the column names"
     if first.startswith(COMMENTS):
         return "is a comment; leave it out: the first line holds the column names"
     for separator, called in SEPARATORS.items():
@@ -150,7 +161,8 @@ def _other_length(row: list[str], wanted: int, last: bool) -> str:
 
 def _no_number(text: str) -> str:
     if any(c in text for c in OTHER_MINUS):
-        return f" (its minus is another character; write '-'): '.' decimals and digits are needed, as in {_with_minus(text)}"
+        meant = in_short(_with_minus(text))
+        return f" (its minus is another character; write '-'): '.' decimals and digits are needed, as in {meant}"
     if re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text):
         return " (a decimal comma); '.' decimals are needed"
     return " ('.' decimals are needed)"
@@ -173,4 +185,4 @@ def _meant(name: str, names: list[str]) -> str:
         near = next((n for n in names if re.fullmatch(rf"(a|j|q|axis|joint)[\s_.-]*{joint[1]}", n.lower())), None)
     if near is None:
         return ""
-    return f"; '{near}' is there: write {name}, in lower case and without a unit"
+    return f"; '{in_short(near)}' is there: write {name}, in lower case and without a unit"

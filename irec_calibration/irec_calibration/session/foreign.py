@@ -24,7 +24,6 @@ import csv
 import datetime
 import io
 import math
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,9 +31,10 @@ from typing import Any
 import yaml
 
 from ..errors import SessionError
-from ..files import read_document
-from ..files.regular import TABLE_LIMIT, is_there, read_bytes
+from ..files import all_or_none, read_document, write_file
+from ..files.regular import TABLE_LIMIT, URDF_LIMIT, is_there, read_bytes
 from ..typing import Json
+from .columns import SEP_LINE, in_short
 from .data import Session
 from .header import FORMAT as SESSION_FORMAT
 from .table import read_table
@@ -107,7 +107,6 @@ def import_table(profile_path: str | Path, table: str | Path, folder: str | Path
     profile = Profile(profile_path)
     rows, notes = _rows(profile, Path(table))
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     header = {"format": SESSION_FORMAT, **profile.session}
     if name:
         header["name"] = name
@@ -115,13 +114,15 @@ def import_table(profile_path: str | Path, table: str | Path, folder: str | Path
     urdf = profile.path.parent / str(robot.get("urdf", ""))
     if not (is_there(urdf) and urdf.is_file()):
         raise SessionError(f"{profile.path}: session: robot: urdf: {urdf} is not there")
-    shutil.copyfile(urdf, folder / "robot.urdf")
     header["robot"] = {**robot, "urdf": "robot.urdf"}
-    (folder / "session.yaml").write_text(yaml.safe_dump(header, sort_keys=False, allow_unicode=True), encoding="utf-8")
     names = list(dict.fromkeys(n for row in rows for n in row))
     lines = [",".join(names)] + [",".join(row[n] for n in names) for row in rows]
-    (folder / "samples.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    session = read_table(folder)
+    described = read_bytes(urdf, "robot description", SessionError, URDF_LIMIT)
+    with all_or_none():  # a table that can't be read back leaves nothing either
+        write_file(folder / "robot.urdf", described, error=SessionError)
+        write_file(folder / "session.yaml", yaml.safe_dump(header, sort_keys=False, allow_unicode=True), error=SessionError)
+        write_file(folder / "samples.csv", "\n".join(lines) + "\n", error=SessionError)
+        session = read_table(folder)
     return replace(session, notes=(*notes, *session.notes))
 
 
@@ -133,7 +134,8 @@ def _rows(profile: Profile, table: Path) -> tuple[list[dict[str, str]], list[str
         for column in [spec.get("column"), *spec["plus"], *spec["minus"]]:
             if column is not None and column not in index:
                 raise SessionError(
-                    f"{profile.path}: columns: {target}: {table} has no column '{column}'; it has {', '.join(names)}"
+                    f"{profile.path}: columns: {target}: {table} has no column '{column}'; it has "
+                    f"{', '.join(map(in_short, names))}"
                 )
     notes, kept, dropped = [], [], 0
     for line, fields in lines:
@@ -198,7 +200,12 @@ def _read(profile: Profile, table: Path) -> tuple[list[str], list[tuple[int, lis
     if options.get("names"):
         names = [str(n) for n in options["names"]]
     elif lines:
-        names = lines.pop(0)[1]
+        first, names = lines.pop(0)
+        if SEP_LINE.fullmatch(",".join(names)):
+            raise SessionError(
+                f"{table}:{first}: is a line for spreadsheets (sep=); leave it out, or state table: skip_lines: {first} in the "
+                "profile"
+            )
     else:
         raise SessionError(f"{table}: the file is empty")
     if names and names[-1] == "":
@@ -244,9 +251,9 @@ def _number(text: str, decimal: str, where: str) -> float:
     try:
         value = float(text.replace(decimal, ".") if decimal != "." else text)
     except ValueError:
-        raise SessionError(f"{where}: '{text}' is not a number with decimal '{decimal}'") from None
+        raise SessionError(f"{where}: '{in_short(text)}' is not a number with decimal '{decimal}'") from None
     if not math.isfinite(value):
-        raise SessionError(f"{where}: {text} is not a finite number; name it under missing: text")
+        raise SessionError(f"{where}: {in_short(text)} is not a finite number; name it under missing: text")
     return value
 
 
@@ -254,7 +261,7 @@ def _time(text: str, form: str, where: str) -> float:
     try:
         when = datetime.datetime.fromisoformat(text) if form == "iso" else datetime.datetime.strptime(text, form)
     except ValueError:
-        raise SessionError(f"{where}: '{text}' is not a time of the form '{form}'") from None
+        raise SessionError(f"{where}: '{in_short(text)}' is not a time of the form '{form}'") from None
     if when.tzinfo is None:
         when = when.replace(tzinfo=datetime.UTC)
     return when.timestamp()

@@ -6,6 +6,7 @@ Both forms have the same columns, so that everything that is checked in a table 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -16,8 +17,8 @@ from typing import Any
 import yaml
 
 from .. import __version__
-from ..errors import SessionError
-from ..files import one_line
+from ..errors import RecordingError, SessionError
+from ..files import not_written, one_line
 from ..recording import BagReader, BagWriter
 from ..robot import Robot
 from . import record_message
@@ -178,11 +179,11 @@ def write_mcap(session: Session, path: str | Path) -> Path:
     """
     path = Path(path)
     part = path.with_name(path.name + ".part")
-    part.unlink(missing_ok=True)
     header: dict[str, Any] = {**session.meta, "format": FORMAT, "name": session.name, "kind": session.kind}
     header["robot"] = {**header.get("robot", {}), "urdf": "robot.urdf", "serial": session.serial}
     names, columns = columns_of(session)
     try:
+        part.unlink(missing_ok=True)
         with BagWriter(part, record_message.Catalogue()) as bag:
             attach_session(bag, header, session.robot.urdf_text)
             channel = bag.add_topic(record_message.TOPIC, record_message.TYPE)
@@ -191,8 +192,12 @@ def write_mcap(session: Session, path: str | Path) -> Path:
                 ns = round(float(row["stamp"]) * 1e9)
                 bag.write(channel, _message_of(row, session.robot.n_joints, ns), max(ns, 0))
         os.replace(part, path)
+    except (OSError, RecordingError) as error:  # of which the latter names the file that was to become this one
+        reason = error if isinstance(error, OSError) else error.__cause__ or error
+        raise RecordingError(not_written(path, reason)) from error
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
     return path
 
 

@@ -4,16 +4,16 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 
 import numpy as np
 import yaml
 
 from ..errors import SessionError
+from ..files import all_or_none, write_file
 from ..robot import Robot
 from ..typing import Array, IntArray
-from .columns import XYZ, Columns
+from .columns import XYZ, Columns, in_short
 from .copies import check_copies
 from .data import Session
 from .header import Header, described, read_header
@@ -65,7 +65,7 @@ def session_from_columns(header: Header, robot: Robot, columns: Columns, folder:
     notes += _unknown_cases(columns, header, load_case)
     unknown = [n for n in columns.names if n not in columns.used]
     if unknown:
-        notes.append(f"columns ignored: {', '.join(unknown)}")
+        notes.append(f"columns ignored: {', '.join(map(in_short, unknown))}")
     meta = header.meta if clock == header.clock else {**header.meta, "clock": clock}
     session = Session(
         name=header.name, kind=header.kind, robot=robot, serial=header.serial, pose=pose, load_case=load_case,
@@ -159,7 +159,9 @@ def _index(columns: Columns, name: str, names: list[str]) -> IntArray:
         if text == "":
             continue
         if text not in names:
-            raise SessionError(f"{columns.where(i, name)}: '{text}' is not declared in session.yaml ({', '.join(names)})")
+            raise SessionError(
+                f"{columns.where(i, name)}: '{in_short(text)}' is not declared in session.yaml ({', '.join(names)})"
+            )
         out[i] = names.index(text)
     return out
 
@@ -170,17 +172,20 @@ def write_table(session: Session, folder: str | Path) -> Path:
     Args:
         session: any session.
         folder: created if needed; its session.yaml, samples.csv and robot.urdf are replaced.
+
+    Raises:
+        SessionError: one of them can't be written.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     header = {"format": "irec-session/1", **session.meta}
     header["robot"] = {**header.get("robot", {}), "urdf": "robot.urdf", "serial": session.serial}
     header.update(name=session.name, kind=session.kind)
     names, columns = columns_of(session)
-    _replace(folder / "robot.urdf", session.robot.urdf_text)
-    _replace(folder / "session.yaml", yaml.safe_dump(header, sort_keys=False, allow_unicode=True))
     lines = [",".join(names)] + [",".join(row) for row in zip(*columns, strict=True)]
-    _replace(folder / "samples.csv", "\n".join(lines) + "\n")
+    with all_or_none():
+        write_file(folder / "robot.urdf", session.robot.urdf_text, error=SessionError)
+        write_file(folder / "session.yaml", yaml.safe_dump(header, sort_keys=False, allow_unicode=True), error=SessionError)
+        write_file(folder / "samples.csv", "\n".join(lines) + "\n", error=SessionError)
     return folder
 
 
@@ -216,9 +221,3 @@ def columns_of(s: Session) -> tuple[list[str], list[list[str]]]:
     for name, value in s.temperature.items():
         put(f"temp_{name}", value)
     return list(table), list(table.values())
-
-
-def _replace(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)

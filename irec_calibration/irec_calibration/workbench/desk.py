@@ -36,6 +36,7 @@ from ..effects.formula import FormulaEffect
 from ..effects.of_session import carrying
 from ..effects.user import effect_from_text, register_file
 from ..errors import EffectError, IrecError, ModelError
+from ..files import all_or_none
 from ..identification.validation import HeldOut
 from ..model import Model, Term
 from ..model.file import check_belongs, load_model, save_model
@@ -189,8 +190,9 @@ class Desk:
 
         data = self._session(session)
         found = diagnose(data, load_model(model), progress=progress, cancelled=cancelled)
-        write_json(found.to_json(), Path(folder) / "diagnosis.json")
-        return [str(p) for p in write_diagnosis_report(found, data, Path(folder))]
+        with all_or_none():
+            write_json(found.to_json(), Path(folder) / "diagnosis.json")
+            return [str(p) for p in write_diagnosis_report(found, data, Path(folder))]
 
     def _session(self, path: str) -> Session:
         stamp = changed(Path(path))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import IrecError
+from ..files import not_written
 
 MOST = 9999  # of one name
 
@@ -30,6 +31,6 @@ def _free(folder: Path, stem: str, suffix: str, make: Callable[[Path], None]) ->
         except FileExistsError:
             continue
         except OSError as error:
-            raise IrecError(f"{path}: can't be written: {error.strerror}") from error
+            raise IrecError(not_written(path, error)) from error
         return path
     raise IrecError(f"{folder}: there are {MOST} of the name {stem}{suffix} already")

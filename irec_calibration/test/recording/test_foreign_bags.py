@@ -20,6 +20,7 @@ from irec_calibration.recording import BagReader, BagWriter, TypeCatalogue
 from irec_calibration.recording.frames import frame_of
 from irec_calibration.recording.survey import survey
 from irec_calibration.recording.unpack import check_definition
+from irec_calibration.session.mcap_io import attach_session
 
 JOINT_STATE = "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
 POINT = "std_msgs/Header header\ngeometry_msgs/Point point\n"
@@ -96,6 +97,63 @@ def test_rates_are_judged(bag):
     assert "rate: /points comes at 20.0 Hz" in lacking
     assert "/joints comes at" not in lacking
     assert "names its joints axis_a" in lacking
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_joints_are_asked_for_only_where_the_recording_does_not_say_which_they_are(tmp_path, listed):
+    names = [f"axis_{k}" for k in "abcdef"]
+    urdf = synthetic.urdf()
+    for described in (urdf, re.sub(r"joint_(\d)", lambda m: names[int(m[1]) - 1], urdf)):
+        path = tmp_path / f"{described == urdf}.mcap"
+        with BagWriter(path, Foreign()) as writer:
+            channel = writer.add_topic("/joints", "sensor_msgs/msg/JointState")
+            writer.write(channel, joint_state(100.0, ["gripper", *names], np.zeros(7)), 100 * 10**9)
+            attach_session(writer, {"robot": {"joint_names": names} if listed else {}}, described)
+        asked = any("names its joints" in item for item in survey(BagReader(path)).lacking)
+        assert asked == (not listed and described == urdf)
+
+
+def compressed_by_message(bag, path):
+    """The same recording with each message packed by itself, as `ros2 bag record --compression-mode message` leaves it."""
+    reader, channels = BagReader(bag), {}
+    with BagWriter(path, Foreign()) as writer:
+        for message in reader.messages():
+            topic = message.topic
+            if topic.name not in channels:
+                channels[topic.name] = writer.add_topic(topic.name, topic.type_name)
+            writer.write(channels[topic.name], zstandard.compress(message.data), message.log_time)
+    return path
+
+
+def test_messages_that_are_compressed_one_by_one_are_refused(bag, tmp_path, capsys):
+    path = compressed_by_message(bag, tmp_path / "packed" / "packed_0.mcap")
+    index = yaml.safe_load((bag / "metadata.yaml").read_text())
+    index["rosbag2_bagfile_information"].update(compression_mode="MESSAGE", relative_file_paths=[path.name])
+    index["rosbag2_bagfile_information"].update(compression_format="zstd")
+    for place in (path, path.parent):
+        assert main(["inspect", str(place)]) == 2
+        said = capsys.readouterr().err
+        assert "packed_0.mcap is compressed message by message (/joints: zstd); convert it with ros2 bag convert" in said
+    (path.parent / "metadata.yaml").write_text(yaml.safe_dump(index))
+    assert main(["inspect", str(path.parent)]) == 2
+    assert "packed is compressed message by message (zstd); convert it with ros2 bag convert" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["a_0.db3", "a_0.mcap.zstd"])
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize("command", ["inspect", "check", "solve"])
+def test_other_bags_are_told_to_be_converted_by_each_command(bag, tmp_path, capsys, name, indexed, command):
+    place = tmp_path / "a"
+    place.mkdir()
+    (place / name).write_bytes(b"SQLite format 3\0")
+    if indexed:
+        index = yaml.safe_load((bag / "metadata.yaml").read_text())
+        index["rosbag2_bagfile_information"].update(relative_file_paths=[name])
+        (place / "metadata.yaml").write_text(yaml.safe_dump(index))
+    for path in (place, place / name):
+        assert main([command, str(path)]) == 2
+        said = "".join(capsys.readouterr())
+        assert name in said and "convert it with ros2 bag convert" in said
 
 
 def test_forces_in_another_frame_than_the_tool_are_told(bag, tmp_path):

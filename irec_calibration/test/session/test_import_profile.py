@@ -107,3 +107,24 @@ def test_incomplete_rows_are_left_out_where_the_profile_says_so(tmp_path):
     rows = [*ROWS, "20200714164004;;80;30;0;5;0;1;1;1;0;0;0;23;"]
     s = import_table(*write(tmp_path, rows, drop_incomplete=True), tmp_path / "out")
     assert len(s) == 3 and any("1 rows without joint angles" in n for n in s.notes)
+
+
+def test_the_line_of_a_spreadsheet_that_tells_the_separator_is_named(tmp_path):
+    profile, table = write(tmp_path)
+    table.write_text("sep=;\n" + table.read_text())
+    with pytest.raises(SessionError, match=r"t.csv:1: is a line for spreadsheets \(sep=\); leave it out, or .*skip_lines: 1"):
+        import_table(profile, table, tmp_path / "s")
+    again = write_profile_that_skips(tmp_path)
+    assert len(import_table(again, table, tmp_path / "s")) == len(ROWS)
+
+
+def write_profile_that_skips(folder):
+    (folder / "skips.yaml").write_text(yaml.safe_dump({**PROFILE, "table": {**PROFILE["table"], "skip_lines": 1}}))
+    return folder / "skips.yaml"
+
+
+def test_a_long_field_of_a_foreign_table_is_told_by_its_beginning_and_its_length(tmp_path):
+    profile, table = write(tmp_path, [ROWS[0].replace("10,0", "9" * 5000 + "x")])
+    with pytest.raises(SessionError, match=r"column 'a1': '9{30}\.\.\. \(5001 characters\)' is not a number") as told:
+        import_table(profile, table, tmp_path / "s")
+    assert len(str(told.value)) < len(str(tmp_path)) + 200

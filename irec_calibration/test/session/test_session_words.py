@@ -39,6 +39,8 @@ WRONG = {
     "joints by another name": (first_line(lambda h: h.replace("joint_1", "A1")), "'A1' is there: write joint_1"),
     "no header": (lambda t: t.split("\n", 1)[1], "holds numbers; a header line"),
     "a comment first": (lambda t: "# made by hand\n" + t, "is a comment"),
+    "the line of a spreadsheet that tells the separator": (lambda t: "sep=,\n" + t, "csv:1: .*leave out the line sep=,:"),
+    "the same of another table": (lambda t: '"sep=;"\n' + t.replace(",", ";"), 'leave out the line "sep=;":'),
     "a line of units": (lambda t: t.replace("\n", "\nm" + ",m" * t.split("\n")[0].count(",") + "\n", 1), "line of units"),
     "decimal commas": (lambda t: t.replace(".", ","), "decimal marks"),
     "a comma at each end": (lambda t: t.replace("\n", ",\n").replace(",\n", "\n", 1), "comma at the end of the line"),
@@ -92,3 +94,44 @@ def test_a_number_that_is_none_is_named_with_line_and_column(column, value, word
     text(folder, change)
     with pytest.raises(SessionError, match=f"samples.csv:4: column.*{words}"):
         read_session(folder)
+
+
+LONG = "9" * 5000
+BEGINNING = "9" * 30 + "... (5000 characters)"
+
+
+def field(column, value):
+    """Puts a value into the first row of a column."""
+
+    def change(t):
+        lines = t.split("\n")
+        row = lines[1].split(",")
+        row[lines[0].split(",").index(column)] = value
+        return "\n".join([lines[0], ",".join(row), *lines[2:]])
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (field("joint_1", LONG), f"column 'joint_1': {BEGINNING} is not a finite number"),
+        (field("joint_1", LONG + "x"), f"column 'joint_1': '{BEGINNING.replace('5000', '5001')}' is not a number"),
+        (field("joint_1", "\u2212" + LONG), "as in -99999"),
+        (field("joint_1", "9_" * 2500), "(5000 characters)' is not a number"),
+        (field("joint_1", "0" * 4980 + "9" * 20), "(5000 characters) is no measured value"),
+        (field("station", LONG), f"column 'station': '{BEGINNING}' is not declared"),
+        (first_line(lambda h: h.replace("joint_1", f"joint_1 [{LONG}]")), "(5010 characters)' is there: write joint_1"),
+        (first_line(lambda h: h.replace("joint_1", LONG).replace("joint_2", LONG)), f"column '{BEGINNING}' appears more"),
+    ],
+)  # fmt: skip
+def test_a_long_field_is_told_by_its_beginning_and_its_length(change, words, folder):
+    text(folder, change)
+    with pytest.raises(SessionError) as told:
+        read_session(folder)
+    assert words in str(told.value) and len(str(told.value)) < len(str(folder)) + 400
+
+
+def test_so_is_the_name_of_a_column_that_is_not_read(folder):
+    text(folder, lambda t: f",{LONG}\n".join(t.split("\n", 1)).replace("\n", ",1\n").replace(f"{LONG},1", LONG))
+    assert f"columns ignored: {BEGINNING}" in read_session(folder).notes
