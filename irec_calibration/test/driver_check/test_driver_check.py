@@ -97,6 +97,13 @@ def in_degrees(value: np.ndarray) -> np.ndarray:
     return np.c_[np.degrees(value[:, :6]), value[:, 6:]]
 
 
+def frozen_as_the_sum_rounds(value: np.ndarray) -> np.ndarray:
+    """One reading for ever, whose standard deviation is not 0 as it is computed."""
+    held = np.tile([0.1, -3.3, 1177.2001, 0.0, 0.0, 0.0], (len(value), 1))
+    assert held[:, :3].std(axis=0).max() > 0.0
+    return held
+
+
 def nowhere(o: Observation) -> None:
     o.description = ""
 
@@ -128,6 +135,8 @@ PASSIVE: dict[str, tuple[Callable[[Observation], None], str]] = {
         "rate of wrench: 50.0 Hz"),
     "best effort": (change("tcp_pose", reliable=False), "QoS of tcp_pose: best effort"),
     "no description": (nowhere, "publish the URDF on robot_description"),
+    "wrench frozen": (change("wrench", value=lambda v: np.tile(v[0], (len(v), 1))), "wrench is alive: all the same"),
+    "wrench_raw frozen": (change("wrench_raw", value=frozen_as_the_sum_rounds), "wrench_raw is alive: all the same"),
     "in fault": (change("robot/state", value=lambda v: v + [2, 0, 0, 0, 0, 0, 0]), "mode of the standing robot: fault"),
 }  # fmt: skip
 
