@@ -99,11 +99,12 @@ class ProcedureRun:
 
     def result(self) -> RunProcedure.Result:
         """Why it ended."""
-        counts, reason = self.procedure.counts, self.procedure.stopped_because
+        counts, reason, doubt = self.procedure.counts, self.procedure.stopped_because, self.procedure.scale_doubt
         complete = counts.complete + len(self.recorder.done)
         text = (
             f"{complete} poses complete, {counts.skipped} skipped, {counts.rejected} load cases rejected"
             f"{f'; stopped: {reason}' if reason else ''}"
+            f"{f'; {doubt}' if doubt and doubt not in reason else ''}"
         )
         return RunProcedure.Result(
             success=not reason, message=text, session_path=str(self.recorder.path), poses_recorded=complete,
@@ -124,7 +125,8 @@ class ProcedureRun:
         status.rejected = p.counts.rejected
         status.paused = p.state == "paused"
         status.remaining = duration(p.remaining_s())
-        status.message = p.stopped_because or p.message
+        doubt = "the scale of the force is not verified" if p.scale_doubt else ""
+        status.message = p.stopped_because or "; ".join(text for text in (p.message, doubt) if text)
         status.session_path = str(self.recorder.path)
 
     @staticmethod
