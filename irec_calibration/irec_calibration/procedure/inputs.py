@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Sequence
 
 from .axes import Axes
@@ -34,6 +35,7 @@ TEMPERATURES = (-90.0, 500.0)  # degC
 FROZEN_S = 1.0  # s with one wrench or point repeated to the last bit; the noise of a working instrument changes it
 FROZEN_READINGS = 20  # that takes at least
 SPEED_FACTOR, JOINT_STEP = 2.0, 0.02  # times the velocity limit, and rad or m on top: an axis that moves further has jumped
+STEPS_KEPT, LONGEST_USUAL = 20, 0.1  # joint states whose mean interval is the usual one, and s that it is at most
 LONGEST_STEP = 1.0  # s between two joint states that can be compared
 
 
@@ -62,6 +64,7 @@ class Inputs:
         self._same: dict[str, int] = {}
         self._ahead: dict[str, float] = {}  # since when the stamps of a source are ahead, by the machine's clock
         self._repeated: dict[str, tuple[float, int, tuple[float, ...]]] = {}  # since when, how often, which values
+        self._steps: deque[float] = deque(maxlen=STEPS_KEPT)  # s between the last joint states
         self._q: tuple[float, tuple[float, ...]] | None = None  # stamp and positions of the last joint states
         self._names: tuple[str, ...] | None = None  # of the last joint_states, and where in it each axis is
         self._places: tuple[int, ...] = ()
@@ -83,6 +86,7 @@ class Inputs:
         self._lags.clear()
         self._repeated.clear()
         self._q = None
+        self._steps.clear()
 
     def of_before(self, now: float, stamp: float) -> bool:
         """Whether what is stamped so was said before the run began; a stamp that can't be of now is judged as a fault instead."""
@@ -225,15 +229,20 @@ class Inputs:
         before, self._q = self._q, (stamp, tuple(q))
         if before is None or not 0.0 < stamp - before[0] <= LONGEST_STEP:
             return True
-        axes, passed = self._axes, stamp - before[0]
+        axes, passed, steps = self._axes, stamp - before[0], self._steps
+        steps.append(passed)
+        # stamps that are made on arrival are close to each other after a hiccup; the robot has moved for the time in between
+        judged = max(passed, min(sum(steps) / len(steps), LONGEST_USUAL))
         for name, value, last, speed, turns in zip(axes.driver, q, before[1], axes.velocity, axes.revolute, strict=True):
-            allowed = SPEED_FACTOR * speed * passed + JOINT_STEP
+            allowed = SPEED_FACTOR * speed * judged + JOINT_STEP
             if abs(value - last) > allowed:
                 unit = "rad" if turns else "m"
                 return self._fault(
                     source,
                     f"{name} has moved from {last:.4g} to {value:.4g} {unit} in {1e3 * passed:.0f} ms, its speed allows"
-                    f" {allowed:.3g} {unit}: an encoder or the rail's scale is lost, or somebody else publishes",
+                    f" {allowed:.3g} {unit} in {1e3 * judged:.0f} ms: an encoder or the rail's scale is lost, somebody else publishes,"
+                    f" or the stamps jitter (the last {len(steps)} are {1e3 * min(steps):.3g} to {1e3 * max(steps):.3g} ms apart):"
+                    " are they made when the angles are read, or when these arrive?",
                 )
         return True
 

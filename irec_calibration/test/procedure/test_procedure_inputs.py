@@ -277,3 +277,23 @@ def test_an_axis_that_moves_further_than_its_speed_allows_is_refused() -> None:
     assert i.joints(NOW, NOW, AXES.driver, Q)
     assert not i.joints(NOW + 0.01, NOW + 0.01, AXES.driver, (*Q[:-1], Q[-1] + 0.3))
     assert "ext_rail has moved from 0.1 to 0.4 m in 10 ms" in i.problem
+    assert "or the stamps jitter (the last 1 are 10 to 10 ms apart)" in i.problem
+
+
+def test_an_axis_at_full_speed_is_believed_where_stamps_are_made_on_arrival_after_a_hiccup() -> None:
+    """Readings every 12 ms, of which five are held up and stamped 1 ms apart."""
+    speed = AXES.velocity[3]
+    i = inputs()
+    for k in range(200):
+        taken = 0.012 * k
+        stamp = NOW + (taken if k % 40 > 4 or k < 40 else 0.012 * (k - k % 40) + 0.05 + 0.001 * (k % 40))
+        q = [*Q[:3], Q[3] + 0.9 * speed * (taken if taken < 1.2 else 2.4 - taken) - 0.5 * speed, *Q[4:]]
+        assert i.joints(stamp, stamp, AXES.driver, q), i.problem
+
+
+def test_a_jump_is_none_of_jitter_where_stamps_jitter() -> None:
+    i = inputs()
+    for k in range(50):
+        stamp = NOW + 0.012 * k + 0.008 * (k % 2)
+        assert i.joints(stamp, stamp, AXES.driver, Q)
+    assert not i.joints(NOW + 0.6, NOW + 0.6, AXES.driver, (*Q[:-1], Q[-1] + 0.3))
