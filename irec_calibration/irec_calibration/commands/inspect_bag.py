@@ -71,8 +71,8 @@ def _irregularities(topic: TopicSurvey) -> str:
     if off := _off(topic):
         least = "at least " if off > 0 else ""
         parts.append(
-            f"stamps {least}{1e3 * abs(off):.0f} ms {'behind' if off > 0 else 'ahead of'} the times at which they were received, limit"
-            f" {1e3 * CLOCK_OFF:.0f} ms: the clocks differ"
+            f"stamps {least}{1e3 * abs(off):.0f} ms {'behind' if off > 0 else 'ahead of'} the times at which they were received,"
+            f" limit {1e3 * CLOCK_OFF:.0f} ms: the clocks differ"
         )
     if topic.bursts:
         parts.append("messages come in bursts, so their times are not the times of reading")

@@ -115,5 +115,6 @@ def conclusion(items: list[Item]) -> str:
     if failed:
         return f"{_counts(items)}, {failed} failed"
     if unknown:
-        return f"{_counts(items)}, none failed: the driver keeps the contract but for what nobody has checked: {', '.join(unknown)}"
+        but = f"but for what nobody has checked: {', '.join(unknown)}"
+        return f"{_counts(items)}, none failed: the driver keeps the contract {but}"
     return f"{_counts(items)}: the driver keeps the contract"

@@ -77,7 +77,7 @@ def run(node: GuardedNode) -> list[Item]:
             print(f"nothing is pressed while this fails: {', '.join(why)}", flush=True)
             break
         if level == "pressing" and any(item.name == MASS and not item.checked for item in items):
-            print("the scale of the force was not checked: watch how hard the robot presses, hand at the emergency stop", flush=True)
+            print("the scale of the force was not checked: watch how hard it presses, hand at the emergency stop", flush=True)
         if pose is not None:
             distance = cell.reference_distance if level == "pressing" else FREE
             there = driver_levels.above_surface(client, cell, axes, settings, pose.q, rail, distance)

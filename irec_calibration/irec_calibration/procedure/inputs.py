@@ -240,9 +240,9 @@ class Inputs:
                 return self._fault(
                     source,
                     f"{name} has moved from {last:.4g} to {value:.4g} {unit} in {1e3 * passed:.0f} ms, its speed allows"
-                    f" {allowed:.3g} {unit} in {1e3 * judged:.0f} ms: an encoder or the rail's scale is lost, somebody else publishes,"
-                    f" or the stamps jitter (the last {len(steps)} are {1e3 * min(steps):.3g} to {1e3 * max(steps):.3g} ms apart):"
-                    " are they made when the angles are read, or when these arrive?",
+                    f" {allowed:.3g} {unit} in {1e3 * judged:.0f} ms: an encoder or the rail's scale is lost, somebody else"
+                    f" publishes, or the stamps jitter (the last {len(steps)} are {1e3 * min(steps):.3g} to"
+                    f" {1e3 * max(steps):.3g} ms apart): are they made when the angles are read, or when these arrive?",
                 )
         return True
 

@@ -150,8 +150,8 @@ class Procedure:
         most, limit = float(np.linalg.norm(self.forces, axis=1).max()), self.settings.checks.unverified_n
         if most > limit > 0.0 and not self.stopped_because:
             self.stopped_because = (
-                f"{self.scale_doubt}. Asked for are up to {most:.0f} N, and more than {limit:g} N (procedure.checks.unverified_n) is"
-                " not pressed with a scale that nobody knows"
+                f"{self.scale_doubt}. Asked for are up to {most:.0f} N, and more than {limit:g} N (procedure.checks.unverified_n)"
+                " is not pressed with a scale that nobody knows"
             )
 
     def move_finished(self, success: bool, message: str = "") -> None:

@@ -31,7 +31,9 @@ from .weighing import (
 )
 
 MOST_READINGS = 50
-MEANS = "a sensor of another unit or gain, as one in pounds, would not be noticed, and the robot press several times as hard as asked"
+MEANS = (
+    "a sensor of another unit or gain, as one in pounds, would not be noticed, and the robot press several times as hard as asked"
+)
 CHECK = "check_driver -p level:=moves -p approach:=true, which turns the wrist in free air"
 
 
@@ -64,9 +66,9 @@ class Scale:
             self.verified = self.verified or tells_pounds(w, RUN_LOW, low)
             return ""
         return (
-            f"the force sensor weighs {seen:.1f} kg of tool (wrench_raw in {len(self._R)} places), {self._said} kg are stated (links"
-            f" beyond {self._cell.raw['force_sensor']['frame']} in the robot description, tool.payload), limit {RUN_LOW:g} to"
-            f" {RUN_HIGH:g} of it: {scale_advice(seen / (0.5 * (low + high)))}"
+            f"the force sensor weighs {seen:.1f} kg of tool (wrench_raw in {len(self._R)} places), {self._said} kg are stated"
+            f" (links beyond {self._cell.raw['force_sensor']['frame']} in the robot description, tool.payload), limit {RUN_LOW:g}"
+            f" to {RUN_HIGH:g} of it: {scale_advice(seen / (0.5 * (low + high)))}"
         )
 
     def doubt(self) -> str:
@@ -138,7 +140,7 @@ def scale_notes(cell: Cell) -> list[str]:
 def _alike(spread: float, places: int) -> tuple[str, str]:
     """Of orientations in which gravity has this sum of squares about its mean, m^2/s^4."""
     return (
-        f"the tool hangs alike in all {places} places in free air (gravity in the sensor's frame has a sum of squares about its mean"
-        f" of {spread:.2g} m^2/s^4, {RUN_SPREAD:g} are needed: two orientations 26 degrees apart)",
+        f"the tool hangs alike in all {places} places in free air (gravity in the sensor's frame has a sum of squares about its"
+        f" mean of {spread:.2g} m^2/s^4, {RUN_SPREAD:g} are needed: two orientations 26 degrees apart)",
         f"run {CHECK}, or give poses that incline the tool otherwise",
     )

@@ -59,7 +59,7 @@ class Watch:
         return self._looked - self._received[name][1]
 
     def held_up(self, steady: float) -> str:
-        """Why a run can't go on after this process was held up since the last look; empty: it was not. steady: machine's clock, s.
+        """Why a run can't go on after this process was held up since the last look; empty: it was not. steady: as of look.
 
         To be asked before any reading is judged: those that came meanwhile are old, and some are read before others.
         """
@@ -109,8 +109,8 @@ class Watch:
         reason = self._clock() or self._silence(steady) or self._force() or self._robot_state() or self._pressing.problem()
         if reason:
             gap, noted = self._held_up
-            before = f" (before that this process was held up for {gap:.1f} s)" if steady - noted <= NOTED_FOR_S and gap else ""
-            p.stop(f"{reason}{before}")
+            recent = gap > 0.0 and steady - noted <= NOTED_FOR_S
+            p.stop(f"{reason} (before that this process was held up for {gap:.1f} s)" if recent else reason)
 
     def _clock(self) -> str:
         time = self._p.time
@@ -148,8 +148,8 @@ class Watch:
         off = force - p.setpoint
         k = int(np.abs(off).argmax())
         return (
-            f" (procedure.force_abort_n): {what_is_read(p.setpoint, force)}, {abs(off[k]):.0f} N off along {'xyz'[k]}; does the force"
-            " control of the robot hold each axis, and are axes of the wrench exchanged?"
+            f" (procedure.force_abort_n): {what_is_read(p.setpoint, force)}, {abs(off[k]):.0f} N off along {'xyz'[k]}; does the"
+            " force control of the robot hold each axis, and are axes of the wrench exchanged?"
         )
 
     def _robot_state(self) -> str:

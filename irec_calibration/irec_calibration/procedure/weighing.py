@@ -31,7 +31,7 @@ UNITS = (
     (9.807, "N that were taken for kilograms and converted once more"),
 )  # fmt: skip
 UNIT_NEAR = 1.15  # ratio to one of these within which it is likely
-POUNDS = UNITS[0][0] * UNIT_NEAR  # of the mass that is stated: the scale of the most harm that is met, which has to be told from it
+POUNDS = UNITS[0][0] * UNIT_NEAR  # of the mass that is stated: the scale that does most harm of those that are met
 
 
 @dataclass(frozen=True)
@@ -91,11 +91,15 @@ def stated_mass(cell: Cell) -> tuple[float, float]:
 
 
 def nothing_stated(cell: Cell) -> str:
-    """Why the weight on the raw force sensor can't be compared with anything that is stated, in a sentence; empty where it can."""
+    """Why the weight on the raw force sensor can't be compared with what is stated, in a sentence; empty where it can."""
     low = stated_mass(cell)[0]
     if low >= LEAST_STATED:
         return ""
-    nothing = "state no mass (or the description has no such link before tool0)" if low == 0.0 else f"state {low:g} kg, at least {LEAST_STATED:g} kg are needed"
+    nothing = (
+        "state no mass (or the description has no such link before tool0)"
+        if low == 0.0
+        else f"state {low:g} kg, at least {LEAST_STATED:g} kg are needed"
+    )
     return f"beyond {cell.raw['force_sensor']['frame']} the robot description and tool.payload of the cell file {nothing}"
 
 
@@ -106,7 +110,7 @@ def mass_verdict(w: Weighed, cell: Cell) -> tuple[bool | None, str, str, str]:
     seen, slack = abs(w.mass), w.slack
     if nothing := nothing_stated(cell):
         return None, f"{seen:.1f} kg are weighed, and {nothing}", "", (
-            "state tool.payload.mass, or the masses of the links, and check again; until then compare with the tool's weight by hand"
+            "state tool.payload.mass, or the masses of the links, and check again; till then compare with the tool's weight"
         )  # fmt: skip
     passed = LOW * low - slack <= seen <= HIGH * high + slack
     stated = f"{low:g}" if low == high else f"{low:g} to {high:g}"

@@ -217,9 +217,9 @@ def clocks_apart(topics: Sequence[TopicSurvey]) -> list[str]:
         apart = min(skew.minimum - least, skew.median - middle, key=abs)
         if abs(apart) > CLOCK_OFF and (skew.minimum - least) * (skew.median - middle) > 0.0:
             out.append(
-                f"the stamps of {topic.name} are {1e3 * abs(apart):.0f} ms {'behind' if apart > 0 else 'ahead of'} those of the other"
-                f" topics, by the times at which they were received, limit {1e3 * CLOCK_OFF:.0f} ms: its readings are of other"
-                " moments than those that stand beside them; let the clocks agree (chrony, PTP) and record again"
+                f"the stamps of {topic.name} are {1e3 * abs(apart):.0f} ms {'behind' if apart > 0 else 'ahead of'} those of the"
+                f" other topics, by the times at which they were received, limit {1e3 * CLOCK_OFF:.0f} ms: its readings are of"
+                " other moments than those that stand beside them; let the clocks agree (chrony, PTP) and record again"
             )
     return out
 

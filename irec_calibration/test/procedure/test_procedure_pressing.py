@@ -230,6 +230,26 @@ def test_a_lateral_force_that_is_driven_by_another_axis_ends_the_run_before_it_i
     assert largest < 700.0 < robot.procedure.settings.force_abort_n
 
 
+def test_a_lateral_force_that_grows_while_contact_is_made_ends_the_run_there() -> None:
+    robot = FakeRobot(1).start()
+    robot.run(stop_when="contact")
+    while not robot.procedure.stopped_because:
+        assert robot.procedure.state == "contact"
+        robot.extra_force = robot.extra_force + [8.0, -8.0, 0.0]
+        robot.tick()
+    assert "runs away from its set point: asked for (0, 0, -1100) N" in robot.procedure.stopped_because
+    assert np.abs(robot.extra_force[:2]).max() < 1.5 * 0.333 * 1100.0 + 100.0
+
+
+def test_a_tool_that_is_dragged_along_the_surface_as_contact_is_made_is_believed() -> None:
+    robot = FakeRobot(1).start()
+    robot.run(stop_when="contact")
+    while robot.procedure.state == "contact":
+        robot.extra_force = np.array([0.4 * robot.force[2] if robot.procedure.in_state_s < 0.6 else 0.0, 0.0, 0.0])
+        robot.tick()
+    assert robot.procedure.state == "establish" and not robot.procedure.stopped_because
+
+
 def test_a_force_control_that_overshoots_by_a_fifth_is_believed_while_it_settles() -> None:
     robot = Controlled(1)
     robot.start().run(stop_when="establish")
