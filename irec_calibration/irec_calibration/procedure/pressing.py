@@ -33,7 +33,7 @@ STEP_WINDOW, STEP_NEAR = 0.06, 0.2  # s before the step that are averaged; share
 # Along one axis, beyond the way from the last set point to this one: shares of that way and of the normal force, and settling
 # tolerances, of which the largest is what a force controller may overshoot by; s that are averaged
 OVERSHOOT_OF_WAY, OVERSHOOT_OF_NORMAL, OVERSHOOT_TOLERANCES, OVERSHOOT_WINDOW = 0.5, 0.25, 8.0, 0.1
-SLIDING_SHARE = 1.5  # of the friction that load cases may use, which has a margin, of the normal force: across it at first contact
+SLIDING_SHARE = 1.5  # of the friction that load cases may use, which has a margin: across the tool while contact is made
 
 
 class PressingWatch:
