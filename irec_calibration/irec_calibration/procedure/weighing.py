@@ -129,12 +129,17 @@ def tells_pounds(w: Weighed, share: float, stated: float) -> bool:
 
 def scale_advice(ratio: float) -> str:
     """What a force that reads `ratio` of what acts is likely to be; the cell file may be wrong as well."""
+    return (
+        f"{likely_scale(ratio)}. Hang a known weight on the tool; or mend the mass in the description or the cell file, where that is"
+        " wrong"
+    )
+
+
+def likely_scale(ratio: float) -> str:
+    """What a force that reads `ratio` of what acts is likely to be, and what that means, without a full stop."""
     unit = next((u for factor, u in UNITS if max(ratio, 1e-9) / factor < UNIT_NEAR and factor / max(ratio, 1e-9) < UNIT_NEAR), "")
     likely = f"it seems to be in {unit}" if unit else f"the sensor's gain seems to be {ratio:.2g} of what it should be"
-    return (
-        f"{likely}; with such a scale the robot presses with {1.0 / max(ratio, 1e-9):.3g} times the force that is asked for."
-        " Hang a known weight on the tool; or mend the mass in the description or the cell file, where that is wrong"
-    )
+    return f"{likely}; with such a scale the robot presses with {1.0 / max(ratio, 1e-9):.3g} times the force that is asked for"
 
 
 def sensor_in_tool(robot: Robot, name: str) -> Array:
