@@ -130,8 +130,8 @@ def tells_pounds(w: Weighed, share: float, stated: float) -> bool:
 def scale_advice(ratio: float) -> str:
     """What a force that reads `ratio` of what acts is likely to be; the cell file may be wrong as well."""
     return (
-        f"{likely_scale(ratio)}. Hang a known weight on the tool; or mend the mass in the description or the cell file, where that is"
-        " wrong"
+        f"{likely_scale(ratio)}. Hang a known weight on the tool; or mend the mass in the description or the cell file, where"
+        " that is wrong"
     )
 
 

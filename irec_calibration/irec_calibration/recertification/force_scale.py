@@ -30,6 +30,6 @@ def scale_doubt(measured: Array, predicted: Array) -> str:
         return ""
     return (
         f"All of the robot gives way {factor:.3g} times as far per newton as the calibration in force says ({RUN_LOW:g} to"
-        f" {RUN_HIGH:g} is expected; {100.0 * left:.0f} % of the deflection go otherwise). No robot ages so; the force sensor does"
-        f" not read what acts: {likely_scale(1.0 / factor)}."
+        f" {RUN_HIGH:g} is expected; {100.0 * left:.0f} % of the deflection go otherwise). No robot ages so; the force sensor"
+        f" does not read what acts: {likely_scale(1.0 / factor)}."
     )

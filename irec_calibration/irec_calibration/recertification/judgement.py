@@ -24,7 +24,7 @@ from .station import with_stations_found
 from .verdict import Kind, kind_of
 
 ENGINEER = "have an engineer look at it."
-HANG_A_WEIGHT = "press nothing; hang a known weight on the tool, set unit and gain of the force sensor's driver, then measure again."
+HANG_A_WEIGHT = "press nothing; hang a known weight on the tool, mend unit or gain of the force sensor, measure again."
 MATTERS = 0.05  # share of the tolerance: an effect that is missing by less is left to the next model
 
 
