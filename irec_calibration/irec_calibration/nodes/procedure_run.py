@@ -80,7 +80,8 @@ class ProcedureRun:
     def step(self, now: float, steady: float) -> tuple[list[LoadCaseRecord], list[Event]]:
         """Advance; returns what is to be told to the world. now: the cell's clock, s; steady: the machine's, s."""
         procedure = self.procedure
-        if problem := procedure.watch.held_up(steady) or self._instruments.inputs.problem or self._instruments.recording_problem:
+        problem = self._instruments.inputs.problem or self._instruments.recording_problem
+        if problem and not procedure.watch.held_up(steady):  # else readings are old for that reason, which the step below tells
             procedure.stop(problem)
         rows, events = [], []
         log_time = round(1e9 * now)

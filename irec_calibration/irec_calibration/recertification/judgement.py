@@ -142,12 +142,13 @@ def judge(
     model = model_of(fit(trained.terms, observation), held_out=one_by_one.held_out, parent=_parent(in_force))
     model = with_error(model, one_by_one.expected_error)
     floor = observation.whiten.floor
-    change = None
-    if in_force is not None and before is not None:
+    change, doubt = None, ""
+    if in_force is not None and before is not None:  # a model that was not measured on this robot tells nothing of its sensor
         change = check(reference_of(in_force.terms, before, tolerance, in_force.sag_share), session, last=True)
+        doubt = scale_doubt(observation.y, observation.y - residual_of(in_force, observation))
     criteria = _criteria(session, acceptance, rms_new, floor)
     verdict, text = _verdict(criteria, change, in_force, rms_new, rms_old, acceptance)
-    if in_force is not None and (doubt := scale_doubt(observation.y, observation.y - residual_of(in_force, observation))):
+    if doubt:
         verdict, text = "investigate: force sensor", with_advice(doubt, HANG_A_WEIGHT)
     axes = axis_compliances(model.terms, observation.scene)
     return Judgement(verdict, text, model, held_out, rms_new, rms_old, floor, criteria, axes, change)

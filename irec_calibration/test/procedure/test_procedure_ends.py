@@ -123,11 +123,14 @@ def test_a_process_that_was_held_up_says_so_and_calls_no_driver_silent(state: st
     robot.now += gap
     robot._read(0.0)  # the newest of what came meanwhile
     robot.delivers_joints = False  # the others are not read yet
-    robot.procedure.step(robot.now, robot.now)
+    for command in robot.procedure.step(robot.now, robot.now):
+        robot._carry_out(command)
     robot.delivers_joints = True
     reason = robot.procedure.stopped_because
     assert f"this process was held up: it has not watched the robot for {gap:.1f} s, limit {limit} s" in reason
     assert "silent" not in reason
+    robot.run(30.0)
+    assert robot.is_safe and robot.procedure.stopped_because == reason, "the way out has all of its time"
 
 
 def test_a_process_that_was_held_up_shortly_goes_on() -> None:
