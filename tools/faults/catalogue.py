@@ -63,7 +63,7 @@ FAULTS = (
     Fault("clock back", DRIVER, r"clock"),
     Fault("partition", DRIVER, r"silent|stands still|no .* readings|gone", persists=True),
     Fault("SIGKILL procedure", OUTSIDE, r"no force set point came", silent=True),
-    Fault("SIGSTOP procedure", OUTSIDE, r"no force set point came|silent|stands still|was set by", harmless=True, silent=True),
+    Fault("SIGSTOP procedure", OUTSIDE, r"no force set point came|silent|held up|stands|was set", harmless=True, silent=True),
     Fault("SIGKILL driver", OUTSIDE, r"silent|no .* readings|stands still", persists=True),
     Fault("SIGSTOP driver", OUTSIDE, r"silent|no .* readings|stands still"),
     Fault("SIGKILL calibration", OUTSIDE, "", harmless=True, silent=True, holds=True),

@@ -90,9 +90,12 @@ def _kind(path: Path) -> tuple[str, Check]:
 
 def _cell(path: Path) -> tuple[list[str], list[str]]:
     """The cell file, what it names, and whether the three belong together."""
+    from ..cell import read_cell
     from ..poses.check import cell_problems
+    from ..procedure.scale import scale_notes
 
-    return cell_problems(path)
+    problems, notes = cell_problems(path)
+    return problems, notes if problems else [*notes, *scale_notes(read_cell(path))]
 
 
 def _poses(path: Path) -> tuple[list[str], list[str]]:
@@ -109,6 +112,8 @@ def _model(path: Path) -> tuple[list[str], list[str]]:
 
 
 def _session(path: Path) -> tuple[list[str], list[str]]:
+    from ..recording import BagReader
+    from ..recording.survey import clocks_apart, survey
     from ..session.plausible import judged
 
     if path.name in ("samples.csv", "session.yaml"):
@@ -121,7 +126,8 @@ def _session(path: Path) -> tuple[list[str], list[str]]:
             return [f"{path}: samples.csv is not there beside session.yaml of {header.name}"], []
     session = read_session(path)
     doubts, notes = judged(session)
-    return [f"implausible: {doubt}" for doubt in doubts], [*session.notes, *notes]
+    apart = [] if (path / "session.yaml").is_file() else clocks_apart(survey(BagReader(path)).topics)
+    return [*apart, *(f"implausible: {doubt}" for doubt in doubts)], [*session.notes, *notes]
 
 
 def _urdf(path: Path) -> tuple[list[str], list[str]]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..cell import read_cell
 from ..cell.mesh import MESH_LIMIT
 from ..errors import CellError
 from ..files import all_or_none, read_bytes, read_text, write_file
@@ -19,6 +20,7 @@ from ..files.regular import URDF_LIMIT
 from ..poses.check import cell_problems
 from ..poses.draft import Facts, cell_text, mesh_of_points, mesh_section, quaternion, shape_of
 from ..poses.step_file import STEP_SUFFIXES, mesh_of_step
+from ..procedure.scale import scale_notes
 from ..robot import Robot
 from ..robot.frames import with_frames
 
@@ -79,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
     with all_or_none():
         urdf, notes = _write(args)
     problems, more = cell_problems(args.output)
+    if not problems:
+        more += scale_notes(read_cell(args.output))
     if args.json:
         print(json.dumps({"cell": str(args.output), "urdf": str(urdf), "problems": problems, "notes": notes + more}))
         return 2 if problems else 0

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from ..recording import BagReader
-from ..recording.survey import Survey, TopicSurvey, survey
+from ..recording.survey import CLOCK_OFF, NEEDED_RATES, Survey, TopicSurvey, survey
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +34,7 @@ def _progress(done: int, total: int) -> None:
 def _text(found: Survey) -> str:
     lines = [f"{found.path}: {sum(t.count for t in found.topics)} messages in {found.duration:.1f} s", ""]
     lines += _table(found.topics)
-    irregular = [t for t in found.topics if t.gap_count or t.bursts or t.backwards or t.repeated or t.missing]
+    irregular = [t for t in found.topics if t.gap_count or t.bursts or t.backwards or t.repeated or t.missing or _off(t)]
     if irregular:
         lines += ["", "Irregular:"]
         lines += [f"  {t.name}: {_irregularities(t)}" for t in irregular]
@@ -61,8 +61,19 @@ def _table(topics: tuple[TopicSurvey, ...]) -> list[str]:
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
+def _off(topic: TopicSurvey) -> float:
+    """Of readings; a row is stamped with the middle of its window."""
+    return topic.skew.off if topic.skew is not None and topic.type_name in NEEDED_RATES else 0.0
+
+
 def _irregularities(topic: TopicSurvey) -> str:
     parts = []
+    if off := _off(topic):
+        least = "at least " if off > 0 else ""
+        parts.append(
+            f"stamps {least}{1e3 * abs(off):.0f} ms {'behind' if off > 0 else 'ahead of'} the times at which they were received,"
+            f" limit {1e3 * CLOCK_OFF:.0f} ms: the clocks differ"
+        )
     if topic.bursts:
         parts.append("messages come in bursts, so their times are not the times of reading")
     if topic.gap_count:

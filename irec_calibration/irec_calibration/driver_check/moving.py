@@ -63,8 +63,9 @@ def judge_moves(m: Moves, cell: Cell, axes: Axes) -> list[Item]:
     return [*_answers(m), *_on_the_way(m, cell, axes), *marker, *_weight(m, cell)]
 
 
-def _item(name: str, passed: bool, figure: str, limit: str, advice: str) -> Item:
-    return Item(LEVEL, name, bool(passed), figure, limit, advice)
+def _item(name: str, passed: bool | None, figure: str, limit: str, advice: str) -> Item:
+    """passed: None where it could not be checked."""
+    return Item(LEVEL, name, bool(passed), figure, limit, advice, passed is not None)
 
 
 def _answers(m: Moves) -> Iterator[Item]:
@@ -246,6 +247,8 @@ def _weight(m: Moves, cell: Cell) -> Iterator[Item]:
         free.append(float(np.abs(w[:3]).max()))
         R.append(Rotation.from_quat(tcp[3:]).as_matrix())
     if len(raw) < 4:
+        figure = f"{len(raw)} standing places with wrench, wrench_raw and tcp_pose, at least 4 are needed"
+        yield _item(MASS, None, figure, "", "publish all three while the robot stands, and check again")
         return
     yield _item(
         "wrench in every orientation",

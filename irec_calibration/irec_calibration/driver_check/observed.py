@@ -12,7 +12,8 @@ from ..typing import Array
 
 @dataclass(frozen=True)
 class Item:
-    """One line of the report: `figure` and `limit` with their units; `advice` says what to change where it failed."""
+    """One line of the report: `figure` and `limit` with their units; `advice` says what to change where it failed, or was not
+    `checked`, since something was not known. What was not checked has not passed, and has not failed."""
 
     level: str
     name: str
@@ -20,6 +21,11 @@ class Item:
     figure: str
     limit: str
     advice: str = ""
+    checked: bool = True
+
+    @property
+    def failed(self) -> bool:
+        return self.checked and not self.passed
 
 
 @dataclass
@@ -88,11 +94,27 @@ def report(items: list[Item]) -> str:
     """The report as text, worst first within each level."""
     lines = []
     for level in dict.fromkeys(item.level for item in items):
-        own = sorted((i for i in items if i.level == level), key=lambda i: i.passed)
-        good = sum(i.passed for i in own)
-        lines.append(f"{level}: {good} of {len(own)} passed")
+        own = sorted((i for i in items if i.level == level), key=lambda i: (i.passed, i.checked))
+        lines.append(f"{level}: {_counts(own)}")
         for i in own:
-            lines.append(f"  {'ok    ' if i.passed else 'FAILED'} {i.name}: {i.figure}{f' (limit {i.limit})' if i.limit else ''}")
+            word = "ok    " if i.passed else "FAILED" if i.checked else "not checked"
+            lines.append(f"  {word} {i.name}: {i.figure}{f' (limit {i.limit})' if i.limit else ''}")
             if not i.passed and i.advice:
                 lines.append(f"         -> {i.advice}")
     return "\n".join(lines)
+
+
+def _counts(items: list[Item]) -> str:
+    unknown = sum(not i.checked for i in items)
+    return f"{sum(i.passed for i in items)} of {len(items)} passed{f', {unknown} not checked' if unknown else ''}"
+
+
+def conclusion(items: list[Item]) -> str:
+    """The closing sentence: that the driver keeps the contract only where nothing has failed and all was checked."""
+    failed, unknown = sum(i.failed for i in items), [i.name for i in items if not i.checked]
+    if failed:
+        return f"{_counts(items)}, {failed} failed"
+    if unknown:
+        but = f"but for what nobody has checked: {', '.join(unknown)}"
+        return f"{_counts(items)}, none failed: the driver keeps the contract {but}"
+    return f"{_counts(items)}: the driver keeps the contract"

@@ -24,6 +24,7 @@ TCP = 1e-4  # m between forward kinematics and tcp_pose
 TURN = 2e-4  # rad, likewise
 FREE_FORCE = 30.0  # N in free air
 PLACE = 0.5  # m between where the tracker sees the marker and where station and TCP say it is
+LEAST_TO_TELL = 50  # readings of a wrench, of which a live sensor has two that differ
 SAME_ROBOT = 1e-5  # m between the two descriptions
 REACH = 50.0  # m
 
@@ -202,16 +203,18 @@ def _forces(seen: Observation) -> Iterator[Item]:
         f"{FREE_FORCE:g} N",
         "remove tool weight and bias from wrench, in N",
     )
-    raw = seen.streams.get("wrench_raw")
-    if raw is not None and len(raw.value) > 50:
-        spread = float(raw.value[:, :3].std(axis=0).max())
-        yield _item(
-            "wrench_raw is alive",
-            spread > 0.0,
-            f"standard deviation {spread:.3g} N",
-            "more than 0",
-            "a sensor that reads the same to the last bit is not being read",
-        )
+    for topic in ("wrench", "wrench_raw"):
+        s = seen.streams.get(topic)
+        if s is not None and len(s.value) > LEAST_TO_TELL:
+            # not the standard deviation: its mean is rounded, so that of equal numbers need not be 0
+            alive = float(np.ptp(s.value[:, :3], axis=0).max())
+            yield _item(
+                f"{topic} is alive",
+                alive > 0.0,
+                "all the same" if alive == 0.0 else f"the force spreads by {alive:.3g} N",
+                "more than 0",
+                "a sensor that reads the same to the last bit is not being read",
+            )
 
 
 def _tracker(seen: Observation, cell: Cell, axes: Axes) -> Iterator[Item]:

@@ -13,8 +13,8 @@ MASS = "mass of the tool on wrench_raw"  # name of an item
 LEAST_MASS = 0.5  # kg; a lighter tool has no sign
 
 
-def weight_items(R_tool_in_base: Array, force: Array, cell: Cell) -> Iterator[tuple[str, bool, str, str, str]]:
-    """Name, passed, figure, limit and advice of each item about the weight on wrench_raw. force: (n, 3), N."""
+def weight_items(R_tool_in_base: Array, force: Array, cell: Cell) -> Iterator[tuple[str, bool | None, str, str, str]]:
+    """Name, passed (None: not checked), figure, limit and advice of each item on the weight on wrench_raw. force: (n, 3), N."""
     w = weigh(R_tool_in_base @ sensor_in_tool(cell.robot, cell.raw["force_sensor"]["frame"]), force)
     yield (
         "weight on wrench_raw turns with the wrist",

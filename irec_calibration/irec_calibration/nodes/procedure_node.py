@@ -25,7 +25,7 @@ from ..cell import read_cell
 from ..errors import CellError, IrecError
 from ..procedure.axes import read_axes
 from ..procedure.elapsed import SLACK, STEP_BACK
-from ..procedure.inputs import Inputs
+from ..procedure.inputs import LARGEST_LAG, Inputs, lag_limit
 from ..procedure.settings import read_settings
 from ..procedure.standstill import Streams
 from .correction_at_work import CorrectionAtWork
@@ -66,7 +66,9 @@ class ProcedureNode(GuardedLifecycleNode):
         self.settings = read_settings(self.cell)
         axes = read_axes(self.cell)
         streams = Streams(5.0 + self.settings.window_s, tracker=not self.settings.without_tracker)
-        self._inputs = Inputs(streams, axes, [station.name for station in self.cell.stations])
+        simulated = bool(self.get_parameter("use_sim_time").value)
+        largest_lag = LARGEST_LAG if simulated else lag_limit(self.settings.window_s)
+        self._inputs = Inputs(streams, axes, [station.name for station in self.cell.stations], largest_lag)
         self._link = RobotLink(self, axes)
         self._starting = StartCheck(
             self._link, self._inputs, CorrectionAtWork(self),

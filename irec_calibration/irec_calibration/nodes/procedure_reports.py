@@ -35,9 +35,9 @@ class ProcedureReports:
             self._rows.publish(row)
         for event in events:
             self._events.publish(String(data=event_text(event)))
-            if event.kind in ("skipped", "nearer", "rejected", "discarded", "stopped"):
-                where = f"pose {event.pose}, load case {event.load_case}"
-                self._node.get_logger().warning(f"{event.kind}: {where}: {event.text}")
+            if event.kind in ("skipped", "nearer", "rejected", "discarded", "unverified", "stopped"):
+                where = f"pose {event.pose}, load case {event.load_case}: " if event.pose else ""
+                self._node.get_logger().warning(f"{event.kind}: {where}{event.text}")
 
     def tell(self, run: ProcedureRun | None, last_failed: str) -> ProcedureStatus:
         """Publish status and diagnostics; the status.
@@ -51,7 +51,8 @@ class ProcedureReports:
         if run is not None:
             run.fill(message)
             text = message.message or message.state
-            level = ERROR if run.procedure.stopped_because else WARN if message.paused else OK
+            doubtful = message.paused or bool(run.procedure.scale_doubt)
+            level = ERROR if run.procedure.stopped_because else WARN if doubtful else OK
         elif last_failed:
             level, text = WARN, f"the last run: {last_failed}"
         self._status.publish(message)

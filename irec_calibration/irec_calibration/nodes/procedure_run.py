@@ -80,7 +80,8 @@ class ProcedureRun:
     def step(self, now: float, steady: float) -> tuple[list[LoadCaseRecord], list[Event]]:
         """Advance; returns what is to be told to the world. now: the cell's clock, s; steady: the machine's, s."""
         procedure = self.procedure
-        if problem := self._instruments.inputs.problem or self._instruments.recording_problem:
+        problem = self._instruments.inputs.problem or self._instruments.recording_problem
+        if problem and not procedure.watch.held_up(steady):  # else readings are old for that reason, which the step below tells
             procedure.stop(problem)
         rows, events = [], []
         log_time = round(1e9 * now)
@@ -99,11 +100,12 @@ class ProcedureRun:
 
     def result(self) -> RunProcedure.Result:
         """Why it ended."""
-        counts, reason = self.procedure.counts, self.procedure.stopped_because
+        counts, reason, doubt = self.procedure.counts, self.procedure.stopped_because, self.procedure.scale_doubt
         complete = counts.complete + len(self.recorder.done)
         text = (
             f"{complete} poses complete, {counts.skipped} skipped, {counts.rejected} load cases rejected"
             f"{f'; stopped: {reason}' if reason else ''}"
+            f"{f'; {doubt}' if doubt and doubt not in reason else ''}"
         )
         return RunProcedure.Result(
             success=not reason, message=text, session_path=str(self.recorder.path), poses_recorded=complete,
@@ -124,7 +126,8 @@ class ProcedureRun:
         status.rejected = p.counts.rejected
         status.paused = p.state == "paused"
         status.remaining = duration(p.remaining_s())
-        status.message = p.stopped_because or p.message
+        doubt = "the scale of the force is not verified" if p.scale_doubt else ""
+        status.message = p.stopped_because or "; ".join(text for text in (p.message, doubt) if text)
         status.session_path = str(self.recorder.path)
 
     @staticmethod

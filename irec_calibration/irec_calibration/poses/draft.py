@@ -212,7 +212,7 @@ robot:
   home: {[float(v) for v in home]}      # over the surface, clear of it
 {names}  arm_radius: {arm}                                 # of the links, for line of sight and clearance
 {rail}tool:
-  payload: {{mass: 0.0, com: [0.0, 0.0, 0.0]}}       # beyond what the description states: CHECK
+  payload: {{mass: 0.0, com: [0.0, 0.0, 0.0]}}       # kg and m, beyond what the description states; it is weighed: CHECK
   marker_in_tool0: {list(f.marker)}
   pad_radius: 0.02                                 # contact pad: all of it has to touch: CHECK
   clearance: 0.01

@@ -65,8 +65,8 @@ class Row:
 class Event:
     """For the record.
 
-    `kind` is complete, skipped, nearer (the tooling; measured again), rejected, discarded (rows that do not count), paused,
-    stopped or finished.
+    `kind` is complete, skipped, nearer (the tooling; measured again), rejected, discarded (rows that do not count), unverified
+    (the scale of the force), paused, stopped or finished.
     """
 
     kind: str

@@ -13,7 +13,7 @@ from ..typing import Array
 from .arrival import AIR_WINDOW, presses_still, touch_limit, way_out_is_known
 from .by_encoders import commanded_problem
 from .checks import contact_problem, contact_problem_by_encoders
-from .commands import MoveJoint, MoveLinear, Row
+from .commands import Event, MoveJoint, MoveLinear, Row
 from .marker_way import contact_way_problem
 from .nearer import met_the_tooling
 from .plausible import Standing, newtons
@@ -37,7 +37,17 @@ def nothing(p: Procedure) -> None:
             still = f"the wrench still reads a force{_newest_newtons(p)}"
             p.add_reason(f"{still}: where that is contact, drive the robot free by hand, nothing moves it any more")
         _judge_rejections(p, p.settings.skip_limit)
+        _judge_scale(p)
         p.event("stopped" if p.stopped_because else "finished", p.stopped_because)
+
+
+def _judge_scale(p: Procedure) -> None:
+    """Who has pressed and does not know with what scale of the force says so."""
+    if p.plausibility is None or not p.counts.cases:
+        return
+    told, p.scale_doubt = p.scale_doubt, p.plausibility.scale.doubt()
+    if p.scale_doubt and not told:
+        p.out.append(Event("unverified", 0, 0, 0, p.scale_doubt))
 
 
 def switch_to_position(p: Procedure) -> None:

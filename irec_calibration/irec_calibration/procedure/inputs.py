@@ -10,12 +10,18 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Sequence
 
 from .axes import Axes
 from .standstill import Streams
 
 LARGEST_LAG = 2.0  # s between a stamp and the cell's clock; clocks that differ by more measure different moments
+# Clocks that differ by less than that, and by more than half a window, give rows whose readings are of different load cases, and
+# stand still in each stream by itself. What is of another moment in less than half a window shows as a drift between its halves.
+# The least lag of a while tells the clocks' difference: where a process or the network holds readings up, some come in time.
+LAG_SHARE, LEAST_LAG, MOST_LAG = 0.5, 0.1, 0.3  # of the averaging window; s, between which the limit is in any case
+LAG_PERIOD, LAG_READINGS = 1.0, 5  # s, and readings in it at least, of which the least lag is taken
 # A simulated clock is heard by messages, and may be heard later than what a driver stamps by it: so far, and for so long of the
 # machine's clock, a stamp may be ahead
 FARTHEST_AHEAD, AHEAD_FOR = 60.0, 0.5  # s
@@ -29,7 +35,13 @@ TEMPERATURES = (-90.0, 500.0)  # degC
 FROZEN_S = 1.0  # s with one wrench or point repeated to the last bit; the noise of a working instrument changes it
 FROZEN_READINGS = 20  # that takes at least
 SPEED_FACTOR, JOINT_STEP = 2.0, 0.02  # times the velocity limit, and rad or m on top: an axis that moves further has jumped
+STEPS_KEPT, LONGEST_USUAL = 20, 0.1  # joint states whose mean interval is the usual one, and s that it is at most
 LONGEST_STEP = 1.0  # s between two joint states that can be compared
+
+
+def lag_limit(window_s: float) -> float:
+    """Largest difference between the clocks of a cell, s, with which rows of such an averaging window, s, are of one moment."""
+    return min(max(LAG_SHARE * window_s, LEAST_LAG), MOST_LAG)
 
 
 class Inputs:
@@ -37,9 +49,13 @@ class Inputs:
 
     Args:
         stations: names of the tracker stations of the cell file.
+        largest_lag: least lag of a second's readings, either way, s; of a real clock `lag_limit`. A simulated one may be heard
+            late, and what that takes of its time goes with its speed.
     """
 
-    def __init__(self, streams: Streams, axes: Axes, stations: Sequence[str]) -> None:
+    def __init__(self, streams: Streams, axes: Axes, stations: Sequence[str], largest_lag: float = LARGEST_LAG) -> None:
+        self._largest_lag = largest_lag
+        self._lags: dict[str, tuple[float, list[float]]] = {}  # of each source: when they begin, and lags since then
         self.streams, self._axes, self._stations = streams, axes, tuple(stations)
         self.faults: dict[str, str] = {}
         self.dropped: dict[str, str] = {}  # what is refused without ending a run: the newest reason of each source
@@ -48,6 +64,7 @@ class Inputs:
         self._same: dict[str, int] = {}
         self._ahead: dict[str, float] = {}  # since when the stamps of a source are ahead, by the machine's clock
         self._repeated: dict[str, tuple[float, int, tuple[float, ...]]] = {}  # since when, how often, which values
+        self._steps: deque[float] = deque(maxlen=STEPS_KEPT)  # s between the last joint states
         self._q: tuple[float, tuple[float, ...]] | None = None  # stamp and positions of the last joint states
         self._names: tuple[str, ...] | None = None  # of the last joint_states, and where in it each axis is
         self._places: tuple[int, ...] = ()
@@ -66,8 +83,10 @@ class Inputs:
         self._last.clear()
         self._same.clear()
         self._ahead.clear()
+        self._lags.clear()
         self._repeated.clear()
         self._q = None
+        self._steps.clear()
 
     def of_before(self, now: float, stamp: float) -> bool:
         """Whether what is stamped so was said before the run began; a stamp that can't be of now is judged as a fault instead."""
@@ -91,6 +110,8 @@ class Inputs:
                 return False
             return self._fault(source, f"{why}; does the driver use this clock (use_sim_time, time synchronisation)?")
         self._ahead.pop(source, None)
+        if not self._same_clock(source, now, lag):
+            return False
         last = self._last.get(source, -math.inf)
         if stamp <= last and last - stamp < LARGEST_LAG:
             self._same[source] = self._same.get(source, 0) + 1
@@ -99,6 +120,26 @@ class Inputs:
             return False
         self._last[source], self._same[source] = stamp, 0
         return True
+
+    def _same_clock(self, source: str, now: float, lag: float) -> bool:
+        """Whether the stamps of a source are of the cell's clock; judged once in LAG_PERIOD."""
+        begin, lags = self._lags.setdefault(source, (now, []))
+        lags.append(lag)
+        if abs(now - begin) < LAG_PERIOD or len(lags) < LAG_READINGS:
+            return True
+        del self._lags[source]
+        least, middle = min(lags), sorted(lags)[len(lags) // 2]
+        off = least if least > 0.0 else min(middle, 0.0)  # no delay makes a stamp be ahead; one that is may be a slip
+        if abs(off) <= self._largest_lag:
+            return True
+        which = f"{1e3 * abs(off):.0f} ms {'behind' if off > 0 else 'ahead of'} the clock"
+        return self._fault(
+            source,
+            f"the stamps of {len(lags)} readings in {abs(now - begin):.1f} s are {'at least ' if off > 0 else ''}{which}, limit"
+            f" {1e3 * self._largest_lag:.0f} ms (half of procedure.window_s, so that a row is of one moment): bring the"
+            " instrument's clock to that of ROS (chrony, PTP), or let its driver stamp by the arrival less the delay of the way;"
+            " and see that this computer keeps up",
+        )
 
     def _may_be_late(self, source: str, ahead: float) -> bool:
         """Whether a stamp that is ahead, s, may only show that the clock is heard late."""
@@ -188,15 +229,20 @@ class Inputs:
         before, self._q = self._q, (stamp, tuple(q))
         if before is None or not 0.0 < stamp - before[0] <= LONGEST_STEP:
             return True
-        axes, passed = self._axes, stamp - before[0]
+        axes, passed, steps = self._axes, stamp - before[0], self._steps
+        steps.append(passed)
+        # stamps that are made on arrival are close to each other after a hiccup; the robot has moved for the time in between
+        judged = max(passed, min(sum(steps) / len(steps), LONGEST_USUAL))
         for name, value, last, speed, turns in zip(axes.driver, q, before[1], axes.velocity, axes.revolute, strict=True):
-            allowed = SPEED_FACTOR * speed * passed + JOINT_STEP
+            allowed = SPEED_FACTOR * speed * judged + JOINT_STEP
             if abs(value - last) > allowed:
                 unit = "rad" if turns else "m"
                 return self._fault(
                     source,
                     f"{name} has moved from {last:.4g} to {value:.4g} {unit} in {1e3 * passed:.0f} ms, its speed allows"
-                    f" {allowed:.3g} {unit}: an encoder or the rail's scale is lost, or somebody else publishes",
+                    f" {allowed:.3g} {unit} in {1e3 * judged:.0f} ms: an encoder or the rail's scale is lost, somebody else"
+                    f" publishes, or the stamps jitter (the last {len(steps)} are {1e3 * min(steps):.3g} to"
+                    f" {1e3 * max(steps):.3g} ms apart): are they made when the angles are read, or when these arrive?",
                 )
         return True
 

@@ -86,6 +86,7 @@ class Procedure:
         self.markers_before = 0  # readings of the tracker when the run began
         self.state = "idle"
         self.message = self.stopped_because = ""
+        self.scale_doubt = ""  # why the scale of the force is not known; empty where it is, or may yet be verified
         self.index = 0  # in work
         self.order = tuple(range(1, len(forces) + 1))
         self.case = 0  # which of `order` is under way, from 1
@@ -135,7 +136,23 @@ class Procedure:
         if problem and not self.watch.robot_presses and not self.stopped_because:
             self.stopped_because = problem
         self.markers_before = self.streams.counts["marker"]
+        self._doubt_scale()
         self.started = True
+
+    def _doubt_scale(self) -> None:
+        """Where the places of the run can't tell the scale of the force, that is said before anything is pressed."""
+        if self.plausibility is None or not self.work:
+            return
+        self.scale_doubt = self.plausibility.scale_doubt_before(np.array([target.R_tool_in_base for target, _ in self.work]))
+        if not self.scale_doubt:
+            return
+        self.out.append(Event("unverified", 0, 0, 0, self.scale_doubt))
+        most, limit = float(np.linalg.norm(self.forces, axis=1).max()), self.settings.checks.unverified_n
+        if most > limit > 0.0 and not self.stopped_because:
+            self.stopped_because = (
+                f"{self.scale_doubt}. Asked for are up to {most:.0f} N, and more than {limit:g} N (procedure.checks.unverified_n)"
+                " is not pressed with a scale that nobody knows"
+            )
 
     def move_finished(self, success: bool, message: str = "") -> None:
         """Answer to MoveJoint or MoveLinear."""

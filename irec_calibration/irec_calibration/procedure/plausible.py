@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ..cell import Cell
 from ..typing import Array
-from .weighing import Scale
+from .scale import Scale
 
 TCP_TOLERANCE = 5e-3  # m between forward kinematics and tcp_pose; a controller with measured geometry differs by less
 TURN_TOLERANCE = 0.02  # rad, likewise
@@ -39,11 +39,15 @@ class Standing:
 
 
 class Plausibility:
-    """Judges one standing robot after the other in one cell."""
+    """Judges one standing robot after the other in one cell.
+
+    Attributes:
+        scale: of the force sensor, as far as it is known.
+    """
 
     def __init__(self, cell: Cell, raw_force: Callable[[], Array | None] = lambda: None) -> None:
         """raw_force: newest mean of the raw force sensor in its frame, (3,), N; None where it does not come."""
-        self._cell, self._raw_force, self._scale = cell, raw_force, Scale(cell)
+        self._cell, self._raw_force, self.scale = cell, raw_force, Scale(cell)
         self._last: tuple[Array, Array, str] | None = None  # marker by TCP and by tracker in the cell, station
 
     def problem(self, s: Standing) -> str:
@@ -53,7 +57,12 @@ class Plausibility:
     def weight_problem(self, R_tool: Array) -> str:
         """Scale of the force sensor, by the tool's weight in this orientation and those before; in free air. R_tool: (3, 3)."""
         raw = self._raw_force()
-        return "" if raw is None else self._scale.problem(R_tool, raw)
+        return "" if raw is None else self.scale.problem(R_tool, raw)
+
+    def scale_doubt_before(self, R_tool: Array) -> str:
+        """Why a run that stands at HOME and in these orientations (n, 3, 3) can't verify the scale; empty where it may."""
+        at_home = self._cell.robot.kinematics(self._cell.home[None]).R_tool
+        return self.scale.doubt_before(np.concatenate([at_home, R_tool]))
 
     def kinematics_problem(self, s: Standing) -> str:
         """Forward kinematics of the joint angles against tcp_pose."""

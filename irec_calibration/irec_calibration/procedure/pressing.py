@@ -30,6 +30,10 @@ LOOK_WAY, RISE_WINDOW = 1e-4, 0.02  # m of advance in contact over which the for
 NOISES, NOISE_WINDOW = 5.0, 0.2  # standard deviations of that rise, and s from whose readings they are found
 STEP_SHARE, STEP_TOLERANCES = 0.3, 8.0  # of the normal force, and settling tolerances: a step of the force that no robot makes
 STEP_WINDOW, STEP_NEAR = 0.06, 0.2  # s before the step that are averaged; share of the normal force within which it had been
+# Along one axis, beyond the way from the last set point to this one: shares of that way and of the normal force, and settling
+# tolerances, of which the largest is what a force controller may overshoot by; s that are averaged
+OVERSHOOT_OF_WAY, OVERSHOOT_OF_NORMAL, OVERSHOOT_TOLERANCES, OVERSHOOT_WINDOW = 0.5, 0.25, 8.0, 0.1
+SLIDING_SHARE = 1.5  # of the friction that load cases may use, which has a margin: across the tool while contact is made
 
 
 class PressingWatch:
@@ -47,7 +51,7 @@ class PressingWatch:
             self._mark = None
             return ""
         self._touched()
-        if reason := self._late() or self._stepped() or self._left():
+        if reason := self._late() or self._stepped() or self._ran_away() or self._left():
             return reason
         mean = p.streams.mean_force(p.window_from, SIGN_WINDOW)
         if mean is None:
@@ -167,6 +171,30 @@ class PressingWatch:
         return (
             f"the force along the tool has stepped from {was:.0f} to {now:.0f} N while {wanted:.0f} N was"
             f" asked for all the time, limit {limit:.0f} N: was the sensor's bias set anew under load, or is the contact lost?"
+        )
+
+    def _ran_away(self) -> str:
+        """A force that leaves the way from one set point to the next along an axis: what drives it does not read it there."""
+        p = self._p
+        mean, asked, touching = p.streams.mean_force(p.window_from, OVERSHOOT_WINDOW), p.setpoint, p.state == "contact"
+        if mean is None:
+            return ""
+        before = asked if p.force_before is None else p.force_before
+        normal, share = abs(float(asked[2])), OVERSHOOT_OF_NORMAL
+        if touching:  # the tool may be dragged along the surface, by no more than the surface holds
+            share = max(share, SLIDING_SHARE * p.settings.friction)
+        least = max(share * normal, OVERSHOOT_TOLERANCES * p.settings.settling.force_n)
+        limit = np.maximum(OVERSHOOT_OF_WAY * np.abs(asked - before), least)
+        beyond = np.maximum(mean - np.maximum(before, asked), np.minimum(before, asked) - mean)
+        if touching or (mean[2] * asked[2] > 0.0 and abs(mean[2]) < normal):
+            beyond[2] = 0.0  # along the tool a touch may be hard, and a force that is lost is none that runs away
+        k = int((beyond - limit).argmax())
+        if beyond[k] <= limit[k]:
+            return ""
+        return (
+            f"the force along {'xyz'[k]} runs away from its set point: {what_is_read(asked, mean)}, which is {beyond[k]:.0f} N"
+            f" beyond {before[k]:.0f} to {asked[k]:.0f} N, the way between the set points, limit {limit[k]:.0f} N; are axes of"
+            " the wrench exchanged or a sign turned, so that the force control pushes along one axis and reads another?"
         )
 
     def _left(self) -> str:

@@ -56,6 +56,7 @@ class Checks:
         lift_speed: of the TCP on the first millimetres out of the contact, m/s; faster the robot stops too late where it is led
             the other way.
         marker_m: largest difference between the ways of the marker and of the TCP within one pose, m, the deflection left out.
+        unverified_n: largest force of a run whose places can't verify the scale of the force sensor, N; 0: any, with a warning.
         least_wrench_hz, least_states_hz: rate of wrench, and of joint_states and tcp_pose, that a window needs.
     """
 
@@ -69,6 +70,7 @@ class Checks:
     near_speed: float = 0.003
     lift_speed: float = 0.005
     marker_m: float = 1e-3
+    unverified_n: float = 0.0
     least_wrench_hz: float = 50.0
     least_states_hz: float = 25.0
 

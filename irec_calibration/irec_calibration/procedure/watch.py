@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..typing import Array
 from .arrival import force_rises, too_fast, touches_on_the_way
+from .inputs import LARGEST_LAG
 from .nearer import met_the_tooling
-from .pressing import MODE_GRACE, PressingWatch
+from .plausible import what_is_read
+from .pressing import LATE_S, MODE_GRACE, PressingWatch
 from .table import PRESSING, WAY_IN, WAY_OUT
 
 if TYPE_CHECKING:
@@ -18,6 +21,9 @@ if TYPE_CHECKING:
 
 SILENCE_S = 3.0  # s of the machine's clock; what says nothing for longer has stopped
 SILENCE_PRESSING_S = 1.5  # s, likewise while the robot presses: it is to be out of the contact within 3 s
+# s of the machine's clock between two looks: nobody watched the robot meanwhile, and what came is not read yet or too old to be
+HELD_UP_S, HELD_UP_PRESSING_S = LARGEST_LAG, LATE_S
+NOTED_S, NOTED_FOR_S = 0.3, 3.0  # s between two looks that are worth a word where the run ends within so many s
 TOPICS = {"force": "wrench", "joints": "joint_states", "TCP": "tcp_pose"}  # what must never fall silent
 POSITION, FORCE = 0, 1  # RobotState.MODE_POSITION, MODE_FORCE
 
@@ -41,6 +47,7 @@ class Watch:
         self._robot_news = False
         self._robot_received = 0.0  # machine's clock
         self._looked = 0.0  # machine's clock
+        self._held_up = (0.0, 0.0)  # s between two looks, when it was noted last, and machine's clock then
         self._pressing = PressingWatch(procedure)
 
     def robot_said(self, mode: int, retreating: bool = False, message: str = "") -> None:
@@ -51,6 +58,21 @@ class Watch:
         """How long nothing of a stream (a key of TOPICS) had come when this last looked, s of the machine's clock."""
         return self._looked - self._received[name][1]
 
+    def held_up(self, steady: float) -> str:
+        """Why a run can't go on after this process was held up since the last look; empty: it was not. steady: as of look.
+
+        To be asked before any reading is judged: those that came meanwhile are old, and some are read before others.
+        """
+        p, gap = self._p, steady - self._looked if self._looked else 0.0
+        limit = HELD_UP_PRESSING_S if p.state in PRESSING else HELD_UP_S
+        if gap <= limit or p.state in ("idle", "paused", "finished", "failed"):
+            return ""
+        left = ", and the robot may have left the contact by its lease" if p.state in PRESSING else ""
+        return (
+            f"this process was held up: it has not watched the robot for {gap:.1f} s, limit {limit:g} s{left}; does this computer"
+            " have too much to do, was the process stopped, or did the computer sleep?"
+        )
+
     @property
     def robot_presses(self) -> bool:
         """The robot is in force control, or on its way out of the contact."""
@@ -58,8 +80,13 @@ class Watch:
 
     def look(self, steady: float) -> None:
         """End the run where there is a reason. steady: the machine's clock, s."""
-        p = self._p
+        p, held_up = self._p, self.held_up(steady)
+        gap = steady - self._looked if self._looked else 0.0
         self._looked = steady
+        if gap > NOTED_S:  # while nobody looked nobody was silent
+            self._held_up = gap, steady
+            self._received = {name: (count, received + gap) for name, (count, received) in self._received.items()}
+            self._robot_received += gap if self._robot_received else 0.0
         for name, (count, _) in self._received.items():
             if p.streams.counts[name] != count:
                 self._received[name] = p.streams.counts[name], steady
@@ -70,6 +97,9 @@ class Watch:
             return
         if p.state in ("idle", "paused", "finished", "failed") or p.stopped_because:
             return
+        if held_up:
+            p.stop(held_up)
+            return
         if p.state in WAY_IN and (reason := touches_on_the_way(p)):
             met_the_tooling(p, reason)
             return
@@ -78,7 +108,9 @@ class Watch:
             return
         reason = self._clock() or self._silence(steady) or self._force() or self._robot_state() or self._pressing.problem()
         if reason:
-            p.stop(reason)
+            gap, noted = self._held_up
+            recent = gap > 0.0 and steady - noted <= NOTED_FOR_S
+            p.stop(f"{reason} (before that this process was held up for {gap:.1f} s)" if recent else reason)
 
     def _clock(self) -> str:
         time = self._p.time
@@ -103,10 +135,22 @@ class Watch:
             return ""
         force = newest[int(np.linalg.norm(newest, axis=1).argmax())]
         if not np.linalg.norm(force) <= s.force_abort_n:
-            return f"force is {np.linalg.norm(force):.0f} N, limit {s.force_abort_n:.0f} N"
+            return f"force is {np.linalg.norm(force):.0f} N, limit {s.force_abort_n:.0f} N{self._beside_set_point(force)}"
         if not np.abs(force).max() <= s.sensor_range_n:
             return f"force sensor reads {np.abs(force).max():.0f} N, its range is {s.sensor_range_n:.0f} N"
         return ""
+
+    def _beside_set_point(self, force: Array) -> str:
+        """Which axis of a force, (3,), N, is furthest from what was asked for while the robot presses, for a sentence."""
+        p = self._p
+        if p.state not in PRESSING:
+            return ""
+        off = force - p.setpoint
+        k = int(np.abs(off).argmax())
+        return (
+            f" (procedure.force_abort_n): {what_is_read(p.setpoint, force)}, {abs(off[k]):.0f} N off along {'xyz'[k]}; does the"
+            " force control of the robot hold each axis, and are axes of the wrench exchanged?"
+        )
 
     def _robot_state(self) -> str:
         """Does the robot do what was asked of it?"""

@@ -25,13 +25,13 @@ SURE, DRIFT = 3.0, 5.0  # standard errors of the mass, and N of drift and hoses,
 RUN_LOW, RUN_HIGH = 0.6, 1.7  # likewise in a run, which nobody watches: what is beyond is another scale
 RUN_LEAST = 0.05  # of the mass that is stated; a sensor that weighs less seems to be set to zero at each pose
 RUN_SPREAD = 10.0  # m^2/s^4, sum of squares of gravity in the sensor's frame about its mean: two orientations 26 degrees apart
-MOST_READINGS = 50
 UNITS = (
     (0.2248, "pounds (lbf), N is needed"), (0.102, "kilograms (kgf), N is needed"), (1e-3, "kN, N is needed"),
     (1e3, "mN, N is needed"), (4.448, "N that were taken for pounds and converted once more"),
     (9.807, "N that were taken for kilograms and converted once more"),
 )  # fmt: skip
 UNIT_NEAR = 1.15  # ratio to one of these within which it is likely
+POUNDS = UNITS[0][0] * UNIT_NEAR  # of the mass that is stated: the scale that does most harm of those that are met
 
 
 @dataclass(frozen=True)
@@ -90,32 +90,56 @@ def stated_mass(cell: Cell) -> tuple[float, float]:
     return total, total + masses.get(sensor, 0.0)
 
 
-def mass_verdict(w: Weighed, cell: Cell) -> tuple[bool, str, str, str]:
-    """Whether what was weighed is what is carried: passed, figure, limit and advice of an item. The sign is judged elsewhere."""
+def nothing_stated(cell: Cell) -> str:
+    """Why the weight on the raw force sensor can't be compared with what is stated, in a sentence; empty where it can."""
+    low = stated_mass(cell)[0]
+    if low >= LEAST_STATED:
+        return ""
+    nothing = (
+        "state no mass (or the description has no such link before tool0)"
+        if low == 0.0
+        else f"state {low:g} kg, at least {LEAST_STATED:g} kg are needed"
+    )
+    return f"beyond {cell.raw['force_sensor']['frame']} the robot description and tool.payload of the cell file {nothing}"
+
+
+def mass_verdict(w: Weighed, cell: Cell) -> tuple[bool | None, str, str, str]:
+    """Whether what was weighed is what is carried: passed, figure, limit and advice of an item; None: it can't be said. The sign
+    is judged elsewhere."""
     low, high = stated_mass(cell)
-    seen = abs(w.mass)
-    if low < LEAST_STATED:
-        nothing = "states no mass" if low == 0.0 else f"states {low:g} kg, too little to be weighed"
-        return True, (
-            f"not compared: {seen:.1f} kg are weighed, and beyond {cell.raw['force_sensor']['frame']} the robot description and"
-            f" tool.payload {nothing}; compare with the tool's weight by hand"
-        ), "", ""  # fmt: skip
-    slack = w.slack
+    seen, slack = abs(w.mass), w.slack
+    if nothing := nothing_stated(cell):
+        return None, f"{seen:.1f} kg are weighed, and {nothing}", "", (
+            "state tool.payload.mass, or the masses of the links, and check again; till then compare with the tool's weight"
+        )  # fmt: skip
     passed = LOW * low - slack <= seen <= HIGH * high + slack
     stated = f"{low:g}" if low == high else f"{low:g} to {high:g}"
     ratio = seen / (0.5 * (low + high))
     figure = f"{seen:.1f} kg are weighed, {stated} kg are stated (links beyond the sensor, tool.payload): {ratio:.3g} of it"
-    return passed, figure, f"{LOW * low - slack:.1f} to {HIGH * high + slack:.1f} kg", scale_advice(ratio)
+    limit = f"{LOW * low - slack:.1f} to {HIGH * high + slack:.1f} kg"
+    if passed and not tells_pounds(w, LOW, low):
+        return None, figure, limit, "so light a tool, or so little turned, does not tell the scale: hang a known weight on it"
+    return passed, figure, limit, scale_advice(ratio)
+
+
+def tells_pounds(w: Weighed, share: float, stated: float) -> bool:
+    """Whether a sensor that reads in pounds would have been beyond the lower limit, `share` of the mass that is stated, kg."""
+    return w.spread >= RUN_SPREAD and share * stated - w.slack > POUNDS * stated
 
 
 def scale_advice(ratio: float) -> str:
     """What a force that reads `ratio` of what acts is likely to be; the cell file may be wrong as well."""
+    return (
+        f"{likely_scale(ratio)}. Hang a known weight on the tool; or mend the mass in the description or the cell file, where"
+        " that is wrong"
+    )
+
+
+def likely_scale(ratio: float) -> str:
+    """What a force that reads `ratio` of what acts is likely to be, and what that means, without a full stop."""
     unit = next((u for factor, u in UNITS if max(ratio, 1e-9) / factor < UNIT_NEAR and factor / max(ratio, 1e-9) < UNIT_NEAR), "")
     likely = f"it seems to be in {unit}" if unit else f"the sensor's gain seems to be {ratio:.2g} of what it should be"
-    return (
-        f"{likely}; with such a scale the robot presses with {1.0 / max(ratio, 1e-9):.3g} times the force that is asked for."
-        " Hang a known weight on the tool; or mend the mass in the description or the cell file, where that is wrong"
-    )
+    return f"{likely}; with such a scale the robot presses with {1.0 / max(ratio, 1e-9):.3g} times the force that is asked for"
 
 
 def sensor_in_tool(robot: Robot, name: str) -> Array:
@@ -125,32 +149,3 @@ def sensor_in_tool(robot: Robot, name: str) -> Array:
         return np.eye(3)
     sensor, tool = (model.frames[model.getFrameId(frame)] for frame in (name, "tool0"))
     return np.array(tool.placement.actInv(sensor.placement).rotation)
-
-
-class Scale:
-    """Weighs the tool in the course of a run, wherever the robot stands in free air, from orientation to orientation."""
-
-    def __init__(self, cell: Cell) -> None:
-        self._cell, self._R_sensor = cell, sensor_in_tool(cell.robot, cell.raw["force_sensor"]["frame"])
-        self._stated = stated_mass(cell)
-        self._R: list[Array] = []
-        self._force: list[Array] = []
-
-    def problem(self, R_tool_in_base: Array, raw: Array) -> str:
-        """Why the force sensor's scale can't be right; empty: it may be, or not enough is known yet. raw: its force, (3,), N."""
-        low, high = self._stated
-        if low < LEAST_STATED:
-            return ""
-        self._R = [*self._R, R_tool_in_base @ self._R_sensor][-MOST_READINGS:]
-        self._force = [*self._force, raw][-MOST_READINGS:]
-        w = weigh(np.array(self._R), np.array(self._force))
-        seen, slack = abs(w.mass), w.slack
-        sure = w.spread >= RUN_SPREAD and w.rest <= WEIGHT_REST and seen >= max(RUN_LEAST * low, slack)
-        if not sure or RUN_LOW * low - slack <= seen <= RUN_HIGH * high + slack:
-            return ""
-        stated = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-        return (
-            f"the force sensor weighs {seen:.1f} kg of tool (wrench_raw in {len(self._R)} places), {stated} kg are stated (links"
-            f" beyond {self._cell.raw['force_sensor']['frame']} in the robot description, tool.payload), limit {RUN_LOW:g} to"
-            f" {RUN_HIGH:g} of it: {scale_advice(seen / (0.5 * (low + high)))}"
-        )

@@ -18,11 +18,13 @@ from ..procedure.settings import Acceptance
 from ..session import Session
 from ..typing import Array, IntArray, Json
 from .advice import with_advice
+from .force_scale import scale_doubt
 from .quick_check import QuickResult, check, reference_of
 from .station import with_stations_found
 from .verdict import Kind, kind_of
 
 ENGINEER = "have an engineer look at it."
+HANG_A_WEIGHT = "press nothing; hang a known weight on the tool, mend unit or gain of the force sensor, measure again."
 MATTERS = 0.05  # share of the tolerance: an effect that is missing by less is left to the next model
 
 
@@ -140,11 +142,14 @@ def judge(
     model = model_of(fit(trained.terms, observation), held_out=one_by_one.held_out, parent=_parent(in_force))
     model = with_error(model, one_by_one.expected_error)
     floor = observation.whiten.floor
-    change = None
-    if in_force is not None and before is not None:
+    change, doubt = None, ""
+    if in_force is not None and before is not None:  # a model that was not measured on this robot tells nothing of its sensor
         change = check(reference_of(in_force.terms, before, tolerance, in_force.sag_share), session, last=True)
+        doubt = scale_doubt(observation.y, observation.y - residual_of(in_force, observation))
     criteria = _criteria(session, acceptance, rms_new, floor)
     verdict, text = _verdict(criteria, change, in_force, rms_new, rms_old, acceptance)
+    if doubt:
+        verdict, text = "investigate: force sensor", with_advice(doubt, HANG_A_WEIGHT)
     axes = axis_compliances(model.terms, observation.scene)
     return Judgement(verdict, text, model, held_out, rms_new, rms_old, floor, criteria, axes, change)
 

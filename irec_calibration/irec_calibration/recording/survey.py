@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -20,6 +20,7 @@ from .read import BagReader, RawMessage, Topic
 GAP_FACTOR = 3.0  # an interval this many times the usual one is a gap
 BURST_FACTOR = 5.0  # a mean interval this many times the median one means that messages come in bursts
 SAME_CLOCK = 3600.0  # s; stamps further from the log time than this come from another clock
+CLOCK_OFF = 0.3  # s between stamps and log times, by which the clocks differ; delays alone are less, for some of the messages
 _LARGEST_GAPS = 5
 MOST_FRAMES = 4  # of one topic that are told
 # Hz, by message type: below the first a window of the procedure (0.4 s) has too few readings; the second is what a driver
@@ -44,6 +45,16 @@ class Skew:
     @property
     def same_clock(self) -> bool:
         return abs(self.median) < SAME_CLOCK
+
+    @property
+    def off(self) -> float:
+        """By how much the stamps are behind (positive) or ahead of the log times, s, where no delay explains it; else 0.
+
+        The least lag counts: what held some messages up did not hold all of them up.
+        """
+        if not self.same_clock:
+            return 0.0
+        return self.minimum if self.minimum > CLOCK_OFF else self.median if self.median < -CLOCK_OFF else 0.0
 
 
 @dataclass(frozen=True)
@@ -192,6 +203,27 @@ def _survey_topic(entry: _Series, start: int, expected: int | None) -> TopicSurv
         skew=skew,
         missing=max((expected or 0) - len(log), 0),
     )
+
+
+def clocks_apart(topics: Sequence[TopicSurvey]) -> list[str]:
+    """A sentence for each topic whose stamps are of another clock than those of most others: its readings are of other moments.
+
+    What all of them are off by alike is the difference to whoever recorded, and puts nothing beside anything else.
+    """
+    known = [(t, t.skew) for t in topics if t.type_name in NEEDED_RATES and t.skew is not None and t.skew.same_clock]
+    if len(known) < 3:  # of two nobody knows which
+        return []
+    least, middle = (float(np.median([getattr(s, name) for _, s in known])) for name in ("minimum", "median"))
+    out = []
+    for topic, skew in known:
+        apart = min(skew.minimum - least, skew.median - middle, key=abs)
+        if abs(apart) > CLOCK_OFF and (skew.minimum - least) * (skew.median - middle) > 0.0:
+            out.append(
+                f"the stamps of {topic.name} are {1e3 * abs(apart):.0f} ms {'behind' if apart > 0 else 'ahead of'} those of the"
+                f" other topics, by the times at which they were received, limit {1e3 * CLOCK_OFF:.0f} ms: its readings are of"
+                " other moments than those that stand beside them; let the clocks agree (chrony, PTP) and record again"
+            )
+    return out
 
 
 def _slow(topics: list[TopicSurvey]) -> list[str]:

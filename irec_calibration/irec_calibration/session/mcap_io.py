@@ -57,9 +57,11 @@ def read_mcap(path: str | Path) -> Session:
     rows: list[dict[str, str]] = []
     notes: list[str] = []
     discarded: set[str] = set()
+    unverified: set[str] = set()
     for message in bag.messages({record_message.TOPIC, record_message.EVENT_TOPIC}):
         if message.topic.name == record_message.EVENT_TOPIC:
             rows = _without_discarded(rows, message, bag, discarded)
+            unverified |= _unverified(message, bag)
             continue
         if message.topic.type_name != record_message.TYPE:
             found = message.topic.type_name or "of no type"
@@ -70,6 +72,7 @@ def read_mcap(path: str | Path) -> Session:
         except (AttributeError, TypeError) as error:  # a type of that name with other fields
             raise SessionError(one_line(f"{where}: is no {record_message.TYPE} as this program knows it: {error}")) from error
     notes += [f"lost: {loss}" for loss in bag.losses]
+    notes += sorted(unverified)
     notes += [f"left out, the run says that it does not count: {text}" for text in sorted(discarded)]
     missing = [name for name in ("session.yaml", "robot.urdf") if name not in bag.attachments]
     if missing:
@@ -99,6 +102,15 @@ def _without_discarded(rows: list[dict[str, str]], message: Any, bag: BagReader,
         return rows
     told.add(f"pose {key[0]}: {event.get('text', '')}")
     return [row for row in rows if (row["pose"], row["repeat"]) != key]
+
+
+def _unverified(message: Any, bag: BagReader) -> set[str]:
+    """What an event says of the scale of the force that a run could not verify, or nothing."""
+    try:
+        event = json.loads(bag.decode(message).data)
+        return {str(event["text"])} if event["kind"] == "unverified" else set()
+    except (AttributeError, ValueError, KeyError, TypeError, RecursionError):  # of somebody else
+        return set()
 
 
 def _after(bag: BagReader) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from irec_calibration.cell import Cell, read_cell
 from irec_calibration.driver_check.moving import Moves, judge_moves
-from irec_calibration.driver_check.observed import Answer, Item, Observation, Stream, report
+from irec_calibration.driver_check.observed import Answer, Item, Observation, Stream, conclusion, report
 from irec_calibration.driver_check.offset import Offsets, judge_offset
 from irec_calibration.driver_check.passive import judge_passive
 from irec_calibration.driver_check.pressing import Pressing, judge_pressing
@@ -97,6 +97,13 @@ def in_degrees(value: np.ndarray) -> np.ndarray:
     return np.c_[np.degrees(value[:, :6]), value[:, 6:]]
 
 
+def frozen_as_the_sum_rounds(value: np.ndarray) -> np.ndarray:
+    """One reading for ever, whose standard deviation is not 0 as it is computed."""
+    held = np.tile([0.1, -3.3, 1177.2001, 0.0, 0.0, 0.0], (len(value), 1))
+    assert held[:, :3].std(axis=0).max() > 0.0
+    return held
+
+
 def nowhere(o: Observation) -> None:
     o.description = ""
 
@@ -128,6 +135,8 @@ PASSIVE: dict[str, tuple[Callable[[Observation], None], str]] = {
         "rate of wrench: 50.0 Hz"),
     "best effort": (change("tcp_pose", reliable=False), "QoS of tcp_pose: best effort"),
     "no description": (nowhere, "publish the URDF on robot_description"),
+    "wrench frozen": (change("wrench", value=lambda v: np.tile(v[0], (len(v), 1))), "wrench is alive: all the same"),
+    "wrench_raw frozen": (change("wrench_raw", value=frozen_as_the_sum_rounds), "wrench_raw is alive: all the same"),
     "in fault": (change("robot/state", value=lambda v: v + [2, 0, 0, 0, 0, 0, 0]), "mode of the standing robot: fault"),
 }  # fmt: skip
 
@@ -225,7 +234,28 @@ def weighed(cell: Cell) -> Item:
 
 def test_where_nobody_states_what_the_sensor_carries_the_report_says_that_nothing_was_compared() -> None:
     item = weighed(with_payload(0.0))
-    assert item.passed and "not compared: 120.0 kg are weighed" in item.figure and "states no mass" in item.figure
+    assert not item.passed and not item.checked and not item.failed
+    assert "120.0 kg are weighed, and beyond ft_sensor" in item.figure and "state no mass" in item.figure
+    text = report(judge_moves(moves(), with_payload(0.0), AXES))
+    assert "not checked mass of the tool on wrench_raw" in text and "1 not checked" in text
+    assert "-> state tool.payload.mass" in text
+
+
+def test_a_driver_is_not_said_to_keep_the_contract_without_naming_what_nobody_has_checked() -> None:
+    passed, failed = Item("moves", "a", True, "", ""), Item("moves", "b", False, "", "")
+    unknown = Item("moves", "c", False, "", "", checked=False)
+    assert conclusion([passed]) == "1 of 1 passed: the driver keeps the contract"
+    assert conclusion([passed, unknown]) == (
+        "1 of 2 passed, 1 not checked, none failed: the driver keeps the contract but for what nobody has checked: c"
+    )
+    assert conclusion([passed, failed, unknown]) == "1 of 3 passed, 1 not checked, 1 failed"
+
+
+def test_a_tool_that_stood_too_seldom_to_be_weighed_is_not_checked() -> None:
+    m = moves()
+    few = judge_moves(replace(m, standing=m.standing[:2]), CELL, AXES)
+    item = next(i for i in few if i.name == "mass of the tool on wrench_raw")
+    assert not item.passed and not item.checked and "2 standing places" in item.figure
 
 
 def test_the_payload_of_the_cell_file_is_what_the_sensor_carries() -> None:
@@ -235,7 +265,9 @@ def test_the_payload_of_the_cell_file_is_what_the_sensor_carries() -> None:
 
 
 def test_a_sensor_that_the_description_does_not_have_between_arm_and_tool_is_not_compared() -> None:
-    assert stated_mass(with_payload(30.0, "tool0")) == (0.0, 0.0) and weighed(with_payload(30.0, "tool0")).passed
+    assert stated_mass(with_payload(30.0, "tool0")) == (0.0, 0.0)
+    item = weighed(with_payload(30.0, "tool0"))
+    assert not item.passed and not item.checked and "no such link before tool0" in item.figure
 
 
 def test_a_light_tool_that_is_weighed_badly_is_not_told_from_its_mass() -> None:
@@ -244,7 +276,8 @@ def test_a_light_tool_that_is_weighed_badly_is_not_told_from_its_mass() -> None:
     rng = np.random.default_rng(5)
     force = np.einsum("nji,j->ni", R, [0.0, 0.0, -9.81 * 2.0]) + rng.normal(0.0, 20.0, (len(R), 3))
     w = weigh(np.array(R), force)
-    assert w.error > 1.0 and mass_verdict(w, with_payload(2.0))[0]
+    passed, _, _, advice = mass_verdict(w, with_payload(2.0))
+    assert w.error > 1.0 and passed is None and "hang a known weight" in advice
 
 
 # --- pressing -----------------------------------------------------------------------------------------------------------

@@ -116,6 +116,57 @@ def test_a_cell_whose_clock_stops_is_given_up() -> None:
     assert "clock" in robot.procedure.stopped_because
 
 
+@pytest.mark.parametrize(("state", "gap", "limit"), [("settle", 5.0, "1"), ("settle", 1.1, "1"), ("approach", 2.1, "2")])
+def test_a_process_that_was_held_up_says_so_and_calls_no_driver_silent(state: str, gap: float, limit: str) -> None:
+    robot = FakeRobot(2).start()
+    robot.run(stop_when=state)
+    robot.now += gap
+    robot._read(0.0)  # the newest of what came meanwhile
+    robot.delivers_joints = False  # the others are not read yet
+    for command in robot.procedure.step(robot.now, robot.now):
+        robot._carry_out(command)
+    robot.delivers_joints = True
+    reason = robot.procedure.stopped_because
+    assert f"this process was held up: it has not watched the robot for {gap:.1f} s, limit {limit} s" in reason
+    assert "silent" not in reason
+    robot.run(30.0)
+    assert robot.is_safe and robot.procedure.stopped_because == reason, "the way out has all of its time"
+
+
+def test_a_process_that_was_held_up_shortly_goes_on() -> None:
+    robot = FakeRobot(1).start()
+    robot.lease = 2.0
+    robot.run(stop_when="settle")
+    robot.tick(0.9)
+    robot.run(stop_when="retract")
+    robot.tick(1.9)
+    assert not robot.run().procedure.stopped_because
+
+
+def test_a_stream_is_silent_from_when_somebody_listened() -> None:
+    robot = FakeRobot(1).start()
+    robot.run(stop_when="approach")
+    robot._move = None
+    robot.delivers_joints = False
+    for _ in range(3):
+        robot.tick(1.9)
+    assert not robot.procedure.stopped_because, "nobody has listened for long enough"
+    for _ in range(310):
+        robot.tick()
+    reason = robot.procedure.stopped_because
+    assert "no joints readings for 3 s: joint_states is silent" in reason
+    assert "(before that this process was held up" not in reason, "that is too long ago"
+
+
+def test_who_ends_shortly_after_it_was_held_up_says_so() -> None:
+    robot = FakeRobot(1).start()
+    robot.run(stop_when="settle")
+    robot.tick(0.8)
+    robot.extra_force = np.array([0, 0, -700.0])
+    robot.run(30.0)
+    assert robot.procedure.stopped_because.endswith("(before that this process was held up for 0.8 s)")
+
+
 def test_a_robot_fault_ends_the_run_and_asks_nothing_more() -> None:
     robot = FakeRobot(2).start()
     robot.run(stop_when="settle")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import CellError
 from irec_calibration.procedure.axes import read_axes
-from irec_calibration.procedure.inputs import Inputs
+from irec_calibration.procedure.inputs import Inputs, lag_limit
 from irec_calibration.procedure.standstill import Streams
 
 CELL = read_cell(Path(__file__).parents[3] / "config" / "cells" / "afp.yaml")
@@ -88,6 +88,59 @@ def test_stamps_that_stay_ahead_of_the_clock_are_a_fault(monkeypatch: pytest.Mon
         assert not i.joints(NOW + k, NOW + k + 2.8, AXES.driver, Q) and not i.problem
     assert not i.joints(NOW + 2.0, NOW + 4.8, AXES.driver, Q)
     assert "joint_states: the stamp is 2.8 s ahead of the clock, limit 2 s; does the driver use this clock" in i.problem
+
+
+def points(i: Inputs, lags: list[float], rate: float = 50.0) -> None:
+    """Markers with these lags, s, one after the other as they come."""
+    for k, lag in enumerate(lags):
+        now = NOW + k / rate
+        i.marker(now, now - lag, "A", (3.0, 1e-6 * k, 0.1))
+
+
+def real() -> Inputs:
+    """With the limit of a real cell with an averaging window of 0.4 s."""
+    return Inputs(Streams(5.0), AXES, ["A"], lag_limit(0.4))
+
+
+@pytest.mark.parametrize("off", [-1.9, -0.25, 0.25, 1.9])
+def test_stamps_of_another_clock_than_the_cells_are_a_fault_either_way(off: float) -> None:
+    i = real()
+    points(i, [off + 0.001 * (k % 7) for k in range(60)])
+    which = "ahead of" if off < 0 else "behind"
+    assert f"{which} the clock, limit 200 ms" in i.problem and i.problem.startswith("tracker/point: the stamps of 51 readings")
+
+
+@pytest.mark.parametrize("lags", [
+    [0.19] * 150,
+    [-0.15] * 150,
+    [0.02 * (24 - k % 25) for k in range(150)],  # 25 at a time, of which the last comes at once
+    [-0.25 if k == 20 else 0.01 for k in range(150)],  # one slip
+])  # fmt: skip
+def test_readings_that_are_late_in_bursts_are_of_the_same_clock(lags: list[float]) -> None:
+    i = real()
+    for k, lag in enumerate(lags):
+        taken = NOW + 0.02 * k
+        i.marker(taken + lag, taken, "A", (3.0, 1e-6 * k, 0.1))
+    assert not i.problem
+
+
+def test_the_clock_of_each_source_is_judged_by_itself() -> None:
+    i = real()
+    for k in range(300):
+        now = NOW + 0.004 * k
+        i.wrench(now, now + 0.3, "tool0", (1e-6 * k, 0.0, 0.0), NO)
+        i.joints(now, now, AXES.driver, Q)
+    assert list(i.faults) == ["wrench"] and "are 300 ms ahead of the clock" in i.problem
+
+
+def test_the_limit_between_clocks_is_half_the_averaging_window_within_bounds() -> None:
+    assert [lag_limit(w) for w in (0.05, 0.4, 10.0)] == [0.1, 0.2, 0.3]
+
+
+def test_a_simulated_clock_may_be_heard_late() -> None:
+    i = inputs()
+    points(i, [-1.0] * 150)
+    assert not i.problem
 
 
 def test_a_fault_stays_until_the_next_run() -> None:
@@ -224,3 +277,23 @@ def test_an_axis_that_moves_further_than_its_speed_allows_is_refused() -> None:
     assert i.joints(NOW, NOW, AXES.driver, Q)
     assert not i.joints(NOW + 0.01, NOW + 0.01, AXES.driver, (*Q[:-1], Q[-1] + 0.3))
     assert "ext_rail has moved from 0.1 to 0.4 m in 10 ms" in i.problem
+    assert "or the stamps jitter (the last 1 are 10 to 10 ms apart)" in i.problem
+
+
+def test_an_axis_at_full_speed_is_believed_where_stamps_are_made_on_arrival_after_a_hiccup() -> None:
+    """Readings every 12 ms, of which five are held up and stamped 1 ms apart."""
+    speed = AXES.velocity[3]
+    i = inputs()
+    for k in range(200):
+        taken = 0.012 * k
+        stamp = NOW + (taken if k % 40 > 4 or k < 40 else 0.012 * (k - k % 40) + 0.05 + 0.001 * (k % 40))
+        q = [*Q[:3], Q[3] + 0.9 * speed * (taken if taken < 1.2 else 2.4 - taken) - 0.5 * speed, *Q[4:]]
+        assert i.joints(stamp, stamp, AXES.driver, q), i.problem
+
+
+def test_a_jump_is_none_of_jitter_where_stamps_jitter() -> None:
+    i = inputs()
+    for k in range(50):
+        stamp = NOW + 0.012 * k + 0.008 * (k % 2)
+        assert i.joints(stamp, stamp, AXES.driver, Q)
+    assert not i.joints(NOW + 0.6, NOW + 0.6, AXES.driver, (*Q[:-1], Q[-1] + 0.3))

@@ -13,7 +13,7 @@ from irec_calibration.procedure.arrival import joint_problem, tcp_problem
 from irec_calibration.procedure.commands import MoveLinear
 from irec_calibration.procedure.plausible import Plausibility, Standing, what_is_read
 from irec_calibration.procedure.weighing import sensor_in_tool
-from irec_calibration.robot import Robot
+from irec_calibration.robot import Payload, Robot
 from scipy.spatial.transform import Rotation
 
 CELL = read_cell(Path(__file__).parents[3] / "config" / "cells" / "afp.yaml")
@@ -115,6 +115,13 @@ SENSOR = sensor_in_tool(CELL.robot, "ft_sensor")
 
 def run_of(gain: float, mass: float = 120.0, noise: float = 1.0, cell: Cell = CELL, zeroed: bool = False) -> str:
     """What is told over five places; zeroed: the sensor's bias is set anew at each."""
+    return after_run(gain, mass, noise, cell, zeroed)[0]
+
+
+def after_run(
+    gain: float, mass: float = 120.0, noise: float = 1.0, cell: Cell = CELL, zeroed: bool = False
+) -> tuple[str, str]:  # fmt: skip
+    """The same, and why the scale is not known after it."""
     rng = np.random.default_rng(2)
     raw = np.zeros(3)
     judge = Plausibility(cell, lambda: raw)
@@ -123,8 +130,8 @@ def run_of(gain: float, mass: float = 120.0, noise: float = 1.0, cell: Cell = CE
         weight = np.zeros(3) if zeroed else SENSOR.T @ R.T @ [0.0, 0.0, -9.81 * mass] + [18.0, -11.0, 25.0]
         raw = gain * (weight + rng.normal(0.0, noise, 3))
         if problem := judge.weight_problem(R):
-            return problem
-    return ""
+            return problem, judge.scale.doubt()
+    return "", judge.scale.doubt()
 
 
 @pytest.mark.parametrize(
@@ -153,3 +160,44 @@ def test_one_orientation_tells_nothing() -> None:
     judge = Plausibility(CELL, lambda: np.array([0.0, 0.0, -260.0]))
     R = CELL.robot.kinematics(CELL.home[None]).R_tool[0]
     assert not any(judge.weight_problem(R) for _ in range(5))
+
+
+BARE = replace(CELL, robot=Robot(CELL.robot.urdf_text.replace('value="120"', 'value="0"')))
+HOME = CELL.robot.kinematics(CELL.home[None]).R_tool
+
+
+def test_a_scale_that_was_seen_to_be_right_is_verified() -> None:
+    assert after_run(1.0) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        ({"cell": BARE, "gain": 0.2248}, "state no mass"),
+        ({"zeroed": True}, "is the sensor set to zero at each pose"),
+        ({"noise": 300.0}, "does not turn as a weight and a bias do"),
+        ({"gain": 1e-3}, "too little to tell the scale"),
+        ({"mass": 0.8, "noise": 0.5, "cell": replace(BARE, payload=Payload(0.8))}, "is the tool light"),
+    ],
+)
+def test_a_scale_that_could_not_be_verified_is_said_to_be_unknown(arguments: dict, why: str) -> None:
+    problem, doubt = after_run(**{"gain": 1.0, **arguments})
+    assert not problem and doubt.startswith("the scale of the force could not be verified") and why in doubt
+
+
+def test_readings_that_do_not_come_leave_the_scale_unknown() -> None:
+    judge = Plausibility(CELL)
+    judge.weight_problem(HOME[0])
+    assert "no readings of wrench_raw in 'ft_sensor'" in judge.scale.doubt()
+
+
+def test_a_tool_that_hangs_alike_everywhere_leaves_the_scale_unknown_and_that_is_known_before() -> None:
+    judge = Plausibility(CELL, lambda: np.array([0.0, 0.0, -260.0]))
+    for _ in range(5):
+        judge.weight_problem(HOME[0])
+    assert "the tool hangs alike in all 5 places" in judge.scale.doubt()
+    about_z = Rotation.from_euler("z", [[0.0], [1.0], [2.0]]).as_matrix()  # a tool that points down turns about the vertical
+    assert "alike in all 4 places" in judge.scale_doubt_before(about_z @ HOME[0])
+    tilted = Rotation.from_euler("x", [[0.0], [0.5], [-0.5]]).as_matrix()
+    assert not judge.scale_doubt_before(tilted @ HOME[0])
+    assert "state no mass" in Plausibility(BARE).scale_doubt_before(tilted @ HOME[0])

@@ -194,3 +194,75 @@ def test_the_forces_before_the_newest_are_none_where_they_are_too_few() -> None:
     before = streams.force_before(2, 0.06)
     assert before is not None and before[2] == pytest.approx(1.5)
     np.testing.assert_array_equal(streams.last_forces(2)[:, 2], [4.0, 5.0])
+
+
+class Controlled(FakeRobot):
+    """Whose force control drives what it reads to its set point: the force that acts, with its axes in another order."""
+
+    order, signs, overshoot = (0, 1, 2), np.ones(3), 0.0
+    rate = 8.0  # 1/s
+
+    def _read(self, dt: float) -> None:
+        acts = self.force.copy()
+        super()._read(dt)
+        if self.force_control:
+            read = acts[list(self.order)] * self.signs
+            aim = self.wanted + self.overshoot * self.wanted * [1.0, 1.0, 0.0]
+            self.force = acts + self.rate * dt * (aim - read)
+            self.extra_force = self.force[list(self.order)] * self.signs - self.force
+        else:
+            self.extra_force = np.zeros(3)
+
+
+@pytest.mark.parametrize(("order", "signs", "axis"), [((1, 0, 2), (1, 1, 1), "y"), ((0, 1, 2), (-1, 1, 1), "x")])
+def test_a_lateral_force_that_is_driven_by_another_axis_ends_the_run_before_it_is_large(
+    order: tuple[int, ...], signs: tuple[int, ...], axis: str
+) -> None:
+    robot = Controlled(2).start()
+    robot.order, robot.signs = order, np.array(signs)
+    largest = 0.0
+    while not robot.procedure.stopped_because:
+        robot.tick()
+        largest = max(largest, float(np.hypot(robot.force[0], robot.force[1])))
+    reason = robot.procedure.stopped_because
+    assert f"the force along {axis} runs away from its set point: asked for (" in reason
+    assert "axes" in reason and "exchanged" in reason
+    assert largest < 700.0 < robot.procedure.settings.force_abort_n
+
+
+def test_a_lateral_force_that_grows_while_contact_is_made_ends_the_run_there() -> None:
+    robot = FakeRobot(1).start()
+    robot.run(stop_when="contact")
+    while not robot.procedure.stopped_because:
+        assert robot.procedure.state == "contact"
+        robot.extra_force = robot.extra_force + [8.0, -8.0, 0.0]
+        robot.tick()
+    assert "runs away from its set point: asked for (0, 0, -1100) N" in robot.procedure.stopped_because
+    assert np.abs(robot.extra_force[:2]).max() < 1.5 * 0.333 * 1100.0 + 100.0
+
+
+def test_a_tool_that_is_dragged_along_the_surface_as_contact_is_made_is_believed() -> None:
+    robot = FakeRobot(1).start()
+    robot.run(stop_when="contact")
+    while robot.procedure.state == "contact":
+        robot.extra_force = np.array([0.4 * robot.force[2] if robot.procedure.in_state_s < 0.6 else 0.0, 0.0, 0.0])
+        robot.tick()
+    assert robot.procedure.state == "establish" and not robot.procedure.stopped_because
+
+
+def test_a_force_control_that_overshoots_by_a_fifth_is_believed_while_it_settles() -> None:
+    robot = Controlled(1)
+    robot.start().run(stop_when="establish")
+    while robot.procedure.state not in ("lift", "finished"):
+        robot.overshoot = 0.2 if robot.procedure.in_state_s < 0.8 else 0.0
+        robot.tick()
+    assert not robot.procedure.stopped_because
+
+
+def test_a_force_beyond_the_abort_limit_names_the_axis_and_what_was_asked_for() -> None:
+    robot = FakeRobot(1).start()
+    robot.run(stop_when="contact")
+    robot.extra_force = np.array([0.0, 1650.0, 0.0])
+    robot.run(30.0)
+    reason = robot.procedure.stopped_because
+    assert "limit 1600 N (procedure.force_abort_n): asked for (0, 0, -1100) N" in reason and "off along y" in reason

@@ -290,3 +290,13 @@ def test_a_recording_that_somebody_else_cuts_or_writes_to_is_told(tmp_path: Path
     assert "somebody else has written to it or cut it" in until_it_fails(r)
     with pytest.raises(RecordingError, match="is incomplete"):
         r.close()
+
+
+def test_a_session_notes_that_its_run_could_not_verify_the_scale_of_the_force(tmp_path: Path) -> None:
+    run = recorder(tmp_path / "s.mcap")
+    told = {"kind": "unverified", "pose": 0, "repeat": 0, "load_case": 0, "text": "the scale could not be verified"}
+    run.write_event(told, 0)
+    write_pose(run, 1)
+    run.write_event(told, 0)
+    run.close()
+    assert read_session(tmp_path / "s.mcap").notes.count("the scale could not be verified") == 1
