@@ -152,6 +152,13 @@ class Bridge:
 
 def run_bridge(pipe: Connection) -> int:
     """Body of the process: receive a BridgeSetup (or None: end) through the pipe, answer, and again. Exit code."""
+    code = _serve(pipe)
+    with contextlib.suppress(OSError):  # the other side has gone before
+        pipe.send(("ended", ""))  # a signal may have reached this process alone: the other side tells that from a crash
+    return code
+
+
+def _serve(pipe: Connection) -> int:
     while True:
         setup, code = next_setup(pipe)
         if setup is None:
