@@ -128,9 +128,10 @@ class Bridge:
                 self._problem = self.loop.problem
                 pipe.send(("problem", self._problem))
         except (EOFError, OSError):
-            self._pipe, self.stopped = None, True
+            asked, self._pipe, self.stopped = self.stopped, None, True
             self.source.stop(time.monotonic())
-            print("rsi_bridge: the ROS side has gone; the offset fades out, packets are answered with zero", file=sys.stderr)
+            if not asked:  # after a signal to both the node is the first to end
+                print("rsi_bridge: the ROS side has gone; the offset fades out, packets are answered with zero", file=sys.stderr)
 
     def _execute(self, command: str, argument: object = None) -> str:
         """Carry out a command; empty, or why not."""
