@@ -15,4 +15,9 @@ colcon --log-base log build --symlink-install --event-handlers console_cohesion-
   --cmake-args -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF >"$venv/build.log" 2>&1 ||
   { tail -n 40 "$venv/build.log" >&2; echo "irec: the build failed, whole output in .venv/build.log" >&2; exit 1; }
 "$venv/bin/uv" pip install -q --python "$venv/bin/python" --no-deps --no-build-isolation -e irec_calibration -e irec_sim
-echo "irec: built; the command is .venv/bin/irec"
+# there is no wheel of ros2cli: what the documents use of it; a real one that somebody has put there stays
+if [ ! -e "$venv/bin/ros2" ] || grep -q "stands in for ros2" "$venv/bin/ros2"; then
+  printf '#!/bin/sh\n# stands in for ros2, see there\nexec "%s/bin/python" "%s/tools/local_ros/ros2/ros2.py" "$@"\n' "$venv" "$PWD" >"$venv/bin/ros2"
+  chmod +x "$venv/bin/ros2"
+fi
+echo "irec: built; the commands are .venv/bin/irec and, after '. tools/env.sh', ros2"

@@ -18,6 +18,7 @@ from irec_calibration.typing import Array
 from .conditioning import Conditioner
 from .deflection import Deflection
 from .errors import ActivationError, SettingsError
+from .figures import fixed
 from .limits import OffsetLimiter, OffsetLimits
 from .links import Links
 from .preview import Preview
@@ -183,9 +184,9 @@ class Correction:
         if envelope is None or force <= share * envelope.force:
             return ""
         return (
-            f"the force is {force:.0f} N where the correction is to begin, limit {share * envelope.force:.0f} N ({share:g} of the"
-            f" {envelope.force:.0f} N that the model was identified up to): the robot seems to press on something, and an offset"
-            " would make it press harder; take the tool off first, or raise start_load where it has to begin under load"
+            f"the force is {fixed(force, 0)} N where the correction is to begin, limit {share * envelope.force:.0f} N ({share:g}"
+            f" of the {envelope.force:.0f} N that the model was identified up to): the robot seems to press on something, and an"
+            " offset would make it press harder; take the tool off first, or raise start_load where it has to begin under load"
         )
 
     def stop(self, now: float, reason: str = "stopped") -> None:
@@ -263,7 +264,8 @@ class Correction:
         self.counts.late += dt > 2.0 * period
         finding: Finding | None = None
         if dt > self.settings.held_up and self.supervisor.state is not State.INACTIVE:
-            text = f"no tick for {dt:.2f} s, limit {self.settings.held_up:g} s: this process was held up, or the clock was set"
+            limit = self.settings.held_up
+            text = f"no tick for {fixed(dt, 2)} s, limit {limit:g} s: this process was held up, or the clock was set"
             finding = self.watchdog.note(Fault.HELD_UP, text)
             if self.supervisor.state not in (State.RAMP_IN, State.ACTIVE):  # otherwise there is nothing to hold
                 finding = None

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from .figures import fixed
+
 WINDOW = 1.0  # s
 LATE = 0.05  # s: where even the youngest reading of a window was older, the offset is late by that
 SLOW, FAST = 0.7, 1.4  # of the rate that the filters are designed for
@@ -54,12 +56,12 @@ class _Stream:
             return told
         if self._age > LATE:
             told.append(
-                f"{what} is {1e3 * self._age:.0f} ms old when it comes in, more than {1e3 * LATE:.0f} ms: the offset is late by"
-                " that; look for what delays it"
+                f"{what} is {fixed(1e3 * self._age, 0)} ms old when it comes in, more than {1e3 * LATE:.0f} ms: the offset is"
+                " late by that; look for what delays it"
             )
         if self._odd >= LASTS:
             told.append(
-                f"{what} comes {self._rate:.0f} times a second, the filters are designed for {self._expected:g} (wrench_rate):"
-                " mend the one or the other"
+                f"{what} comes {fixed(self._rate, 0)} times a second, the filters are designed for {self._expected:g}"
+                " (wrench_rate): mend the one or the other"
             )
         return told

@@ -21,6 +21,7 @@ from irec_calibration.sensors.dry_drive import LINK
 from irec_calibration.typing import Array
 
 from .errors import SettingsError
+from .figures import fixed, signed
 from .watchdog import Fault, Finding
 
 REMEMBERED = 100  # samples of the motor-side angles
@@ -110,11 +111,12 @@ class LinkAngles:
             return stamp, Finding(Fault.JOINTS_NOT_FINITE, "link angles hold NaN or infinity")
         if not abs(stamp - now) <= self._tolerance:
             return stamp, Finding(
-                Fault.JOINTS_CLOCK, f"stamp of the link angles is {stamp - now:+.3f} s from now, limit {self._tolerance:g} s"
+                Fault.JOINTS_CLOCK,
+                f"stamp of the link angles is {signed(stamp - now, 3)} s from now, limit {self._tolerance:g} s",
             )
         if stamp <= self._last:
-            back, self._last = self._last - stamp, stamp
-            return stamp, Finding(Fault.JOINTS_CLOCK, f"stamp of the link angles is not newer than the last one ({-back:+.3f} s)")
+            newer, self._last = signed(stamp - self._last, 3), stamp
+            return stamp, Finding(Fault.JOINTS_CLOCK, f"stamp of the link angles is not newer than the last one ({newer} s)")
         self._last = stamp
         if not self._motor or self._motor[-1][0] < stamp:
             self._waiting = stamp, np.array(link, dtype=float)
@@ -137,7 +139,7 @@ class LinkAngles:
         away, row = self._nearest(self._dry.q, q)
         if away > OFF_WAY:
             return Finding(
-                Fault.OUTSIDE_JOINTS, f"the robot is {away:.3f} rad from the dry drive of links.file, limit {OFF_WAY:g} rad"
+                Fault.OUTSIDE_JOINTS, f"the robot is {fixed(away, 3)} rad from the dry drive of links.file, limit {OFF_WAY:g} rad"
             )
         return np.asarray(windup - self._dry.windup[row])
 

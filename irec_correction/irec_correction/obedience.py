@@ -12,6 +12,8 @@ from collections import deque
 import numpy as np
 from irec_calibration.typing import Array
 
+from .figures import fixed
+
 LATENCY = 0.3  # s that a driver may be late, with the way to it and back
 LASTS = 1.0  # s for which it must differ: drivers fade an offset in over half a second after they had none
 NEAR, SHARE = 3e-5, 0.15  # m, and of the offset: closer is obedience
@@ -61,12 +63,12 @@ class Obedience:
         last = sent[-1]
         return (
             f"the driver reports offset {_mm(reported)} mm while {_mm(last)} mm was sent, for {lasted:.1f} s, limit"
-            f" {1e3 * limit:.2f} mm: {_how(reported, last, limit)}; mend the driver, then activate again"
+            f" {fixed(1e3 * limit, 2)} mm: {_how(reported, last, limit)}; mend the driver, then activate again"
         )
 
 
 def _mm(v: Array) -> str:
-    return f"({', '.join(f'{1e3 * x:.3f}' for x in v.tolist())})"
+    return f"({', '.join(fixed(1e3 * x, 3) for x in v.tolist())})"
 
 
 def _how(reported: Array, sent: Array, limit: float) -> str:

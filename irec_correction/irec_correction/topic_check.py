@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from .figures import signed
 from .watchdog import Fault, Finding
 
 
@@ -34,7 +35,7 @@ class TopicCheck:
             return Finding(self.bad_frame, f"{self.what} comes in frame '{frame}', '{self.frame}' is needed")
         away = stamp - now
         if not abs(away) <= self.tolerance:
-            return Finding(self.bad_clock, f"{self.what} is stamped {away:+.3f} s from now, limit {self.tolerance:g} s")
+            return Finding(self.bad_clock, f"{self.what} is stamped {signed(away, 3)} s from now, limit {self.tolerance:g} s")
         for v in values:
             if not math.isfinite(v):
                 return Finding(self.bad_value, f"{self.what} holds {v}")

@@ -15,6 +15,8 @@ import numpy as np
 from irec_calibration.model import Envelope
 from irec_calibration.typing import Array
 
+from .figures import fixed, signed
+
 
 class Fault(StrEnum):
     """Why the correction does not follow the model. Values are keys of counters and diagnostics."""
@@ -186,7 +188,7 @@ class Watchdog:
         if now - self._changed_at > s.frozen_after:
             w.refused = Finding(
                 Fault.WRENCH_FROZEN,
-                f"force sensor repeats one reading for {now - self._changed_at:.2f} s, limit {s.frozen_after} s",
+                f"force sensor repeats one reading for {fixed(now - self._changed_at, 2)} s, limit {s.frozen_after} s",
             )
         return w.refused is None
 
@@ -203,7 +205,7 @@ class Watchdog:
         if force > s.force_range or torque > s.torque_range:
             return Finding(
                 Fault.WRENCH_RANGE,
-                f"wrench {force:.0f} N, {torque:.0f} N m is beyond the sensor's range "
+                f"wrench {fixed(force, 0)} N, {fixed(torque, 0)} N m is beyond the sensor's range "
                 f"{s.force_range:g} N, {s.torque_range:g} N m",
             )
         if self._reading is not None and now - self._wrench.came_in <= s.wrench_timeout and self._jumped(reading, self._reading):
@@ -212,7 +214,7 @@ class Watchdog:
             self._suspect = reading.copy()
             if self._suspect_count < s.jump_samples:
                 step = float(np.abs(reading - self._reading)[:3].max())
-                return Finding(Fault.WRENCH_JUMP, f"wrench jumped by {step:.0f} N in one sample, limit {s.force_jump:g} N")
+                return Finding(Fault.WRENCH_JUMP, f"wrench jumped by {fixed(step, 0)} N in one sample, limit {s.force_jump:g} N")
         return None
 
     def _jumped(self, a: Array, b: Array) -> bool:
@@ -224,11 +226,11 @@ class Watchdog:
         fault, limit = faults[0], self.settings.age_limit
         if not math.isfinite(stamp) or abs(stamp - now) > self.settings.clock_tolerance:
             away = stamp - now
-            return Finding(fault, f"{what} is stamped {away:+.3f} s from now, limit {self.settings.clock_tolerance} s")
+            return Finding(fault, f"{what} is stamped {signed(away, 3)} s from now, limit {self.settings.clock_tolerance} s")
         if stamp < last:
-            return Finding(fault, f"{what} is stamped {last - stamp:.4f} s before the one before it")
+            return Finding(fault, f"{what} is stamped {fixed(last - stamp, 4)} s before the one before it")
         if now - stamp > limit:
-            age = f"{what} is {now - stamp:.3f} s old when it comes in, limit {limit:g} s; look for what delays it"
+            age = f"{what} is {fixed(now - stamp, 3)} s old when it comes in, limit {limit:g} s; look for what delays it"
             return Finding(faults[1], age)
         return None
 
@@ -261,7 +263,8 @@ class Watchdog:
             if step[k] > allowed[k]:
                 return Finding(
                     Fault.JOINTS_JUMP,
-                    f"joint_{k + 1} jumped by {step[k]:.4f} rad in {1e3 * passed:.0f} ms, its speed allows {allowed[k]:.4f} rad",
+                    f"joint_{k + 1} jumped by {fixed(step[k], 4)} rad in {fixed(1e3 * passed, 0)} ms, "
+                    f"its speed allows {fixed(allowed[k], 4)} rad",
                 )
         return self._rail_refused(stamp, rail)
 
@@ -281,7 +284,8 @@ class Watchdog:
             if step > allowed:
                 return Finding(
                     Fault.JOINTS_JUMP,
-                    f"the rail jumped by {step:.4f} m in {1e3 * passed:.0f} ms, its speed allows {allowed:.4f} m",
+                    f"the rail jumped by {fixed(step, 4)} m in {fixed(1e3 * passed, 0)} ms, "
+                    f"its speed allows {fixed(allowed, 4)} m",
                 )
         return None
 
@@ -313,7 +317,7 @@ class Watchdog:
             if stream.refused is not None:
                 return stream.refused
             if not abs(now - stream.came_in) <= timeout:  # in the future: the clock was set back
-                age = f"for {now - stream.came_in:.3f} s" if math.isfinite(stream.came_in) else "yet"
+                age = f"for {fixed(now - stream.came_in, 3)} s" if math.isfinite(stream.came_in) else "yet"
                 return Finding(fault, f"no {what} {age}, limit {timeout} s")
         return None
 
@@ -328,7 +332,7 @@ class Watchdog:
         if beyond[k] > 0.0:
             return Finding(
                 Fault.OUTSIDE_JOINTS,
-                f"joint_{k + 1} is at {self._q[k]:.3f} rad, the model was identified for {e.q_lower[k]:.3f} .. "
+                f"joint_{k + 1} is at {fixed(self._q[k], 3)} rad, the model was identified for {e.q_lower[k]:.3f} .. "
                 f"{e.q_upper[k]:.3f} rad"
                 f" (margin {s.joint_margin} rad)",
             )
@@ -337,7 +341,8 @@ class Watchdog:
         if force > s.wrench_factor * e.force or torque > torque_limit:
             return Finding(
                 Fault.OUTSIDE_WRENCH,
-                f"wrench {force:.0f} N, {torque:.0f} N m; the model was identified up to {e.force:.0f} N, {e.torque:.0f} N m"
+                f"wrench {fixed(force, 0)} N, {fixed(torque, 0)} N m; the model was identified up to {e.force:.0f} N, "
+                f"{e.torque:.0f} N m"
                 f" (factor {s.wrench_factor}, margin {s.torque_margin:g} N m)",
             )
         return None

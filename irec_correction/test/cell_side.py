@@ -61,15 +61,21 @@ class CellSide:
         assert message.header.frame_id == "base_link" and message.child_frame_id == "tool0"
         self.offsets.append(np.array([t.x, t.y, t.z]))
 
-    def _publish(self) -> None:
+    def joints_now(self):
+        """Joint states of now."""
         from array import array
 
-        joint_state, wrench = self.types
-        stamp = self.node.get_clock().now().to_msg()
+        joint_state, _ = self.types
         j = joint_state(name=[f"joint_{k}" for k in range(1, 7)], position=array("d", Q.tolist()))
         if self.rail is not None:
             j.name, j.position = [*j.name, "ext_rail"], array("d", [*Q.tolist(), self.rail])
-        j.header.stamp = stamp
+        j.header.stamp = self.node.get_clock().now().to_msg()
+        return j
+
+    def _publish(self) -> None:
+        _, wrench = self.types
+        j = self.joints_now()
+        stamp = j.header.stamp
         instead, self.instead = self.instead, {}  # once each
         self.joints.publish(instead.get("joints", j))
         if "wrench" in instead:

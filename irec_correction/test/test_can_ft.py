@@ -318,6 +318,96 @@ def test_error_remote_and_extended_frames_are_no_data(sluggish):
     assert max(np.abs(r.wrench).max() for r in running.readings) < 1000.0
 
 
+class Wrong(NetFtCan):
+    """A sensor whose frames are changed on their way by `change`, where there is one."""
+
+    change: Callable[[list], list] | None = None
+
+    def answer(self, identifier, data):
+        frames = super().answer(identifier, data)
+        return self.change(frames) if frames and self.change else frames
+
+
+HALVES = {
+    "another device asks in between": lambda f: [*f[:2], (0x40, b"\x01"), *f[2:]],
+    "another device sets the zero in between": lambda f: [*f[:2], (0x40, b"\x04"), *f[2:]],
+    "a frame is short": lambda f: [f[0], (0x42, f[1][1][:7]), *f[2:]],
+    "the first frame of a second answer is short": lambda f: [f[0], (0x41, b""), *f[1:]],
+    "a frame comes twice": lambda f: [*f[:2], f[1], *f[2:]],
+    "a frame of somebody else has the place of one": lambda f: [f[0], (0x52, f[1][1]), *f[2:]],
+    "frames are in another order": lambda f: [f[1], f[0], *f[2:]],
+}
+
+
+@pytest.fixture
+def wrong():
+    import can
+
+    channel = uuid.uuid4().hex
+    sensor, going = Wrong(lambda: LOAD), [True]
+    buses = [can.Bus(interface="virtual", channel=channel) for _ in range(2)]
+    thread = threading.Thread(target=serve, args=(sensor, buses[0], lambda: going[0]))
+    thread.start()
+    running = Running(ReaderSettings(Bus("virtual", channel), rate=100.0))
+    running.until(lambda: len(running.readings) > 3)
+    yield sensor, running, buses[1]
+    going[0] = False
+    running.close()
+    thread.join(5.0)
+    for bus in buses:
+        bus.shutdown()
+
+
+@pytest.mark.parametrize("how", HALVES)
+def test_halves_of_an_answer_that_something_came_between_are_no_reading_and_are_counted(wrong, how):
+    sensor, running, _ = wrong
+    sensor.change = HALVES[how]
+    counts = running.reader.counts
+    unanswered = counts.unanswered
+    running.until(lambda: counts.unanswered > unanswered + 2)
+    read = len(running.readings)
+    running.until(lambda: counts.unanswered > unanswered + 5)
+    assert len(running.readings) == read
+    assert counts.incomplete > 0
+    sensor.change = None
+    running.until(lambda: len(running.readings) > read + 3)
+
+
+def test_a_counter_that_stands_while_the_values_change_is_not_passed_on(wrong):
+    sensor, running, _ = wrong
+    sensor.change = lambda f: [*f[:3], (f[3][0], f[3][1][:4] + struct.pack("<I", 7))]
+    repeated = running.reader.counts.repeated
+    running.until(lambda: running.reader.counts.repeated > repeated + 5)
+    assert sum(r.sample == 7 for r in running.readings) == 1
+
+
+class Flood:
+    """A bus on which there is always one more frame."""
+
+    def __init__(self, bus, frame) -> None:
+        self._bus, self._frame = bus, frame
+
+    def recv(self, timeout):
+        return self._bus.recv(0.0) or self._frame
+
+    def __getattr__(self, name):
+        return getattr(self._bus, name)
+
+
+@pytest.mark.parametrize("identifier", [0x41, 0x44])
+def test_a_flood_of_frames_with_an_identifier_of_the_sensor_is_no_reading_and_the_reader_can_be_ended(wrong, identifier):
+    import can
+
+    _, running, _ = wrong
+    frame = can.Message(arbitration_id=identifier, data=b"\x7f" * 8, is_extended_id=False)
+    running.reader._bus = Flood(running.reader._bus, frame)
+    running.until(lambda: running.reader.counts.flooded > 3)
+    assert max(np.abs(r.wrench).max() for r in running.readings) < 1000.0
+    running.going = False
+    running.thread.join(5.0)
+    assert not running.thread.is_alive()
+
+
 def test_frames_of_two_answers_make_no_reading():
     sensor, assembler = NetFtCan(lambda: LOAD), Assembler(0x40, CALIBRATION)
     first, second = sensor.answer(0x40, b"\x01"), sensor.answer(0x40, b"\x01")
@@ -337,6 +427,7 @@ def test_whatever_frames_come_a_reading_is_made_of_one_whole_answer_in_order(seq
         try:
             reading = assembler.take(identifier, data)
         except ProtocolError:
+            ours.append(-1)  # of the wrong length: the answer that it was part of is none
             continue
         if first <= identifier < first + size:
             ours.append(identifier)

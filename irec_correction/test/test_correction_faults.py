@@ -117,6 +117,26 @@ def test_a_joint_state_with_too_few_positions_and_wrenches_in_another_frame_are_
     assert largest_step(active) <= STEP
 
 
+def test_a_joint_at_two_places_at_once_is_named_with_both_and_fades_the_offset_out(active):
+    joint_state, _ = active.types
+
+    def both() -> None:
+        now = active.joints_now()
+        second = joint_state(name=[*now.name, *now.name], position=[*now.position, *(q + 0.2 for q in now.position)])
+        second.header.stamp = now.header.stamp
+        active.instead = {"joints": second}
+
+    def faded() -> bool:
+        both()
+        return active.states[-1].state == FAULT
+
+    active.until(faded, what="FAULT")
+    reason = active.states[-1].reason
+    q = active.joints_now().position
+    assert f"'joint_1' is named 2 times, at {q[0]:.6g} and at {q[0] + 0.2:.6g}" in reason
+    assert largest_step(active) <= STEP
+
+
 def test_a_rail_that_is_where_the_cell_has_none_fades_the_offset_out(active):
     active.rail = 3.0
     state_of(active, FAULT)

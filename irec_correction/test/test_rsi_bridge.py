@@ -141,6 +141,42 @@ def test_offset_reaches_the_controller_and_the_loop_outlives_the_node(drive, ros
     assert bridge.wait(START) == 0
 
 
+@pytest.mark.parametrize("alone", [True, False], ids=["main process alone", "whole group"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_the_process_alone_or_with_the_node_fades_the_offset_out_and_ends_both_without_an_error(
+    drive, ros_domain, start_process, tmp_path, number, alone
+):
+    bridge = start_bridge(start_process, drive, wrench_block=drive.block.name, model_path=model_of_cell(tmp_path))
+    drive.wait_for_bridge()
+    drive.until(lambda: np.linalg.norm(drive.sent[-1]) > 5e-4, START, "offset of the model")
+    node = children_of(bridge.pid)[0]
+    # alone: systemd with KillMode=process, or a launch; the group: a terminal
+    (os.kill if alone else os.killpg)(bridge.pid, number)
+    drive.until(lambda: np.linalg.norm(drive.sent[-1]) < 1e-7, START, "offset faded out")
+    assert bridge.wait(START) == 0
+    assert drive.largest_step <= STEP
+    assert not Path(f"/proc/{node}").exists()
+    told = (tmp_path / "rsi_bridge.log").read_text()
+    assert "INACTIVE" in told and not any(wrong in told for wrong in ("unexpected", "Traceback", "has ended", "has gone"))
+
+
+def test_the_end_of_a_loop_that_was_not_asked_to_end_is_an_error_in_one_line_and_ends_the_node(
+    drive, ros_domain, start_process, tmp_path
+):
+    bridge = start_bridge(start_process, drive, wrench_block=drive.block.name, model_path=model_of_cell(tmp_path))
+    drive.wait_for_bridge()
+    drive.until(lambda: np.linalg.norm(drive.sent[-1]) > 5e-4, START, "offset of the model")
+    node = children_of(bridge.pid)[0]
+    bridge.kill()
+    bridge.wait(START)
+    end = time.monotonic() + START
+    while Path(f"/proc/{node}/cmdline").exists() and Path(f"/proc/{node}/cmdline").read_bytes():  # a zombie has none
+        assert time.monotonic() < end, "the node lives on without its loop"
+        time.sleep(0.05)
+    told = (tmp_path / "rsi_bridge.log").read_text()
+    assert "the RSI loop has ended without being asked to" in told and "Traceback" not in told
+
+
 def test_the_service_checks_robot_and_tool_and_the_node_tells_wrench_deflection_and_counters(
     drive, watcher, start_process, tmp_path
 ):

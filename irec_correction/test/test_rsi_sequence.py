@@ -356,6 +356,22 @@ def test_a_wrong_cycle_time_is_named():
     assert not np.any(link.acted)
 
 
+@pytest.mark.parametrize("counting", [*COUNTINGS, *UNCOUNTED])
+@pytest.mark.parametrize("lost", [0, 1, 3, 9, 60])
+@pytest.mark.parametrize("cycle_ms", [12, 40])
+def test_a_controller_whose_cycle_has_become_longer_is_never_taken_for_a_new_session(counting, lost, cycle_ms):
+    link = Link(counting).run(20)
+    link.run(60 if counting in COUNTINGS else 0, "lose_answer").run(120)  # Delay, where there is one, has been seen to rise
+    for what in [""] * 20 + ["lose_sent"] * lost + [""] * 100:
+        link.ipoc += cycle_ms - 4
+        link.now += 1e-3 * cycle_ms - PERIOD
+        link.cycle(what)
+    assert link.steps.max() <= STEP
+    assert link.sequence.sessions == 1
+    assert np.linalg.norm(link.held) > 1e-3
+    assert "cycle_ms" in link.sequence.problem or (not link.sequence.in_session and "no answer" in link.sequence.problem)
+
+
 def test_a_cycle_time_that_is_too_long_is_named():
     link = Link()
     link.sequence._cycle_ms = 12

@@ -17,6 +17,7 @@ import yaml
 from ..errors import RecordingError, RobotError
 from ..files import check_replaceable, write_file
 from ..files.outputs import beginning
+from ..joint_states import contradiction, named_twice
 from ..recording import BagReader
 from ..robot import Robot, parent_joint
 from ..sensors.tool_load import Standing, ToolLoad, ToolLoadFit, identify_tool_load, standing
@@ -66,6 +67,8 @@ class _Recorded:
     def add_joints(self, message: Any) -> None:
         if not self.names:
             self.names = list(message.name)
+        if why := contradiction(named_twice(message.name, set(message.name)), message.position):
+            raise RecordingError(f"{self.path}: joint states: {why}")
         if list(message.name) == self.names:
             self._q.append((_seconds(message.header.stamp), list(message.position)))
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..cell import Cell
+from ..joint_states import contradiction, named_twice
 from ..procedure.axes import Axes
 from ..robot import Robot
 from ..typing import Array
@@ -149,6 +150,9 @@ def _joints(seen: Observation, axes: Axes) -> Iterator[Item]:
     found = positions(seen, axes)
     if found is None:
         return
+    twice = named_twice(s.names, axes.driver)
+    why = next(filter(None, (contradiction(twice, position) for position in s.value)), "") if twice else ""
+    yield _item("each joint once", not why, why or "yes", "one position each", "let one node alone send the robot's joints")
     q, over = found[0], ""
     for k, name in enumerate(axes.driver):
         worst = float(q[:, k][np.abs(q[:, k]).argmax()])

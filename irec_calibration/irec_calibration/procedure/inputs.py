@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 
+from ..joint_states import contradiction, named_twice
 from .axes import Axes
 from .standstill import Streams
 
@@ -67,6 +68,7 @@ class Inputs:
         self._steps: deque[float] = deque(maxlen=STEPS_KEPT)  # s between the last joint states
         self._q: tuple[float, tuple[float, ...]] | None = None  # stamp and positions of the last joint states
         self._names: tuple[str, ...] | None = None  # of the last joint_states, and where in it each axis is
+        self._twice: list[tuple[str, list[int]]] = []
         self._places: tuple[int, ...] = ()
 
     @property
@@ -205,6 +207,9 @@ class Inputs:
                     " the driver names the joints (robot.joint_names, robot.rail.joint_name)",
                 )
             self._names, self._places = tuple(names), tuple(list(names).index(name) for name in self._axes.driver)
+            self._twice = named_twice(names, self._axes.driver)
+        if why := contradiction(self._twice, position):
+            return self._fault(source, why)
         q = [position[k] for k in self._places]
         if not (self._numbers(source, "the position", q, math.inf, "rad") and self._within_limits(source, q)):
             return False

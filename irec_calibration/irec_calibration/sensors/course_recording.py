@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..errors import RecordingError
+from ..joint_states import contradiction, named_twice
 from ..recording import BagReader
 from ..typing import Array
 
@@ -74,6 +75,8 @@ def read_course(
             if joint_names and now != joint_names:
                 raise RecordingError(f"{file}: joints on '{joints}' are named {now}, before they were {joint_names}")
             joint_names = now
+            if why := contradiction(named_twice(now, set(now)), message.position):
+                raise RecordingError(f"{file}: '{raw.topic.name}': {why}")
             found[kind].append((stamp, list(message.position)))
     table: dict[str, tuple[Array, Array]] = {}
     for kind, topic in (("wrench", wrench), ("pose", pose), ("joints", joints)):

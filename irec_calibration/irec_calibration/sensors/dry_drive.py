@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import RecordingError
+from ..joint_states import contradiction, named_twice
 from ..recording import BagReader
 from ..typing import Array
 
@@ -47,6 +48,8 @@ def read_dry_drive(file: Path, joints: str, links: str) -> DryDriveTable:
         now = tuple(message.name)
         if names.setdefault(kind, now) != now:
             raise RecordingError(f"{file}: joints on '{raw.topic.name}' are named {now}, before they were {names[kind]}")
+        if why := contradiction(named_twice(now, set(now)), message.position):
+            raise RecordingError(f"{file}: '{raw.topic.name}': {why}")
         if len(message.position) == len(now):
             found[kind].append((message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec, list(message.position)))
     for kind, topic in (("motor", joints), ("link", links)):

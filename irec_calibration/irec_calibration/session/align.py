@@ -17,6 +17,7 @@ from scipy.optimize import minimize_scalar
 
 from ..errors import SessionError
 from ..files import read_document
+from ..joint_states import contradiction, named_twice
 from ..recording import BagReader
 from ..robot import Robot
 from ..typing import Array, IntArray, Json
@@ -171,6 +172,8 @@ def _read(bag: BagReader, mapping: Json, path: Path, scale: float) -> dict[str, 
             missing = [n for n in wanted if n not in content.name]
             if missing:
                 raise SessionError(f"{path}: {topic['joints']} has no joint '{missing[0]}'; it has {', '.join(content.name)}")
+            if why := contradiction(named_twice(content.name, wanted), content.position):
+                raise SessionError(f"{path}: {topic['joints']}: {why}")
             values = [float(content.position[list(content.name).index(n)]) for n in wanted]
             stamps["joints"].append((at, 1e-9 * message.log_time, values))
         else:

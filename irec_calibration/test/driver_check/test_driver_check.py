@@ -114,6 +114,8 @@ PASSIVE: dict[str, tuple[Callable[[Observation], None], str]] = {
     "joint angles in degrees": (change("joint_states", value=in_degrees), "joint_states are in degrees, radians are needed"),
     "joints of other names": (change("joint_states", names=tuple("abcdefg")),
         "state the driver's names in the cell file (robot.joint_names)"),
+    "a joint at two places": (change("joint_states", names=lambda n: (*n, n[1]), value=lambda v: np.c_[v, v[:, 1] + 0.5]),
+        "is named 2 times, at"),
     "robot/state silent": (lambda o: o.streams.pop("robot/state") and None, "robot/state is there: no message"),
     "tracker silent": (lambda o: o.streams.pop("tracker/point") and None, "tracker/point is there: no message"),
     "tcp_pose missing": (lambda o: o.streams.pop("tcp_pose") and None, "tcp_pose is there: no message"),

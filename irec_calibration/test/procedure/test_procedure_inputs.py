@@ -58,6 +58,10 @@ WRONG: dict[str, tuple[Callable[[Inputs], bool], str]] = {
     "three positions": (lambda i: i.joints(NOW, NOW, AXES.driver, Q[:3]), "joint_states: 7 names with 3 positions"),
     "degrees": (lambda i: i.joints(NOW, NOW, AXES.driver, [math.degrees(v) for v in Q]), "joint_2 is at -108.9 rad"),
     "names": (lambda i: i.joints(NOW, NOW, [f"a{k}" for k in range(1, 8)], Q), "there is no 'joint_1' among 'a1', 'a2'"),
+    "two places of one joint": (
+        lambda i: i.joints(NOW, NOW, (*AXES.driver, "joint_2"), (*Q, 1.5)),
+        f"joint_states: 'joint_2' is named 2 times, at {Q[1]:.6g} and at 1.5",
+    ),
     "no rail": (lambda i: i.joints(NOW, NOW, AXES.driver[:6], Q[:6]), "there is no 'ext_rail'"),
     "joint that is no number": (lambda i: i.joints(NOW, NOW, AXES.driver, (math.nan, *Q[1:])), "finite numbers are needed"),
 }  # fmt: skip
@@ -209,6 +213,12 @@ def test_a_stamp_that_stands_is_a_fault_and_a_single_repetition_is_left_out() ->
     for _ in range(20):
         i.marker(NOW + 0.1, NOW, "A", (3.0, 0.0, 0.1))
     assert "not newer than stamp 100.000 s" in i.problem
+
+
+def test_a_joint_that_is_named_twice_at_one_place_is_taken() -> None:
+    i = inputs()
+    assert i.joints(NOW, NOW, (*AXES.driver, "joint_2"), (*Q, Q[1]))
+    assert i.joints(NOW + 0.01, NOW + 0.01, ("gripper", "gripper", *AXES.driver), (0.0, 1.0, *Q)), "of another device"
 
 
 def test_joints_come_in_any_order_and_with_others_beside_them() -> None:

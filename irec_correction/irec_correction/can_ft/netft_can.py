@@ -127,7 +127,7 @@ class Assembler:
             raise SettingsError(f"CAN base identifier {self.base:#x}; 0 to 0x7f9 is possible with 11 bits")
 
     def begin(self) -> None:
-        """A new request has been sent: what is incomplete will stay so."""
+        """A request has been sent, by whomever: it ends a running answer, and what is incomplete will stay so."""
         if self._parts:
             self.incomplete += 1
             self._parts.clear()
@@ -145,6 +145,7 @@ class Assembler:
             self.foreign += 1
             return None
         if len(data) != 8:
+            self.begin()  # it may have been the first one of another answer
             raise ProtocolError(f"CAN frame {identifier:#x} of the force sensor has {len(data)} bytes, 8 are needed")
         if part == 0:
             self.begin()

@@ -61,10 +61,12 @@ class ReaderCounts:
     Attributes:
         unanswered: requests without a whole answer within a period. gaps: periods that the sensor's counter says are missing.
         repeated: answers with the counter of the one before; not passed on. bad: frames of the wrong length.
+        incomplete: answers that lost a frame, or that another one cut off.
         late: answers that were seen in a later period than their request; passed on with the time of the request.
         unrequested: whole answers that nobody here has asked for. foreign_requests, foreign_bias: requests of another device, and
             those of them that set the sensor's zero.
-        ignored: error, remote and extended frames.
+        ignored: error, remote, extended and FD frames.
+        flooded: periods in which more frames came than can be read in one; nothing is passed on then.
     """
 
     readings: int = 0
@@ -72,12 +74,14 @@ class ReaderCounts:
     gaps: int = 0
     repeated: int = 0
     bad: int = 0
+    incomplete: int = 0
     bus_failures: int = 0
     late: int = 0
     unrequested: int = 0
     foreign_requests: int = 0
     foreign_bias: int = 0
     ignored: int = 0
+    flooded: int = 0
 
 
 def open_bus(bus: Bus, base: int) -> Any:
@@ -107,6 +111,7 @@ class SensorReader:
         """Take the present reading as zero, in the sensor. Only without contact. Raises CorrectionError without a bus."""
         if self._bus is None:
             raise CorrectionError("the CAN bus of the force sensor is not open")
+        self._assembler.begin()  # half an answer with the old zero, half with the new one is no reading
         self._send(Request.BIAS)
 
     def run(self, is_running: Callable[[], bool]) -> None:
@@ -133,7 +138,9 @@ class SensorReader:
     def _ask(self, until: float) -> None:
         """One period: a request and its answer, or the rest of the one before."""
         if self._owed is None:
-            self._discard_waiting()
+            if not self._discard_waiting(until):
+                self.counts.flooded += 1
+                return
             self._assembler.begin()
             asked = time.monotonic()
             self._send(Request.SHORT if self._settings.short else Request.LONG)
@@ -153,33 +160,45 @@ class SensorReader:
         self._owed = (asked, periods_left - 1) if periods_left > 0 else None
 
     def _listen(self, until: float) -> Reading | None:
-        """Frames up to a time (CLOCK_MONOTONIC, s) or a whole answer."""
-        while True:
+        """Frames up to a time (CLOCK_MONOTONIC, s) or a whole answer; what waits then, for a period at most."""
+        end = until + 1.0 / self._settings.rate
+        while time.monotonic() < end:
             frame = self._bus.recv(max(0.0, until - time.monotonic()))
             if frame is None:
                 return None
             reading = self._take(frame)
             if reading is not None:
                 return reading
+        return None
 
-    def _discard_waiting(self) -> None:
-        """Before a request: what waits is no answer to it, however many another device has made the sensor send."""
+    def _discard_waiting(self, until: float) -> bool:
+        """Before a request: what waits is no answer to it, however many another device has made the sensor send.
+
+        False: there was more than could be read up to a time, s; without an end to it nobody could end this process.
+        """
+        end = max(until, time.monotonic() + 1.0 / self._settings.rate)
         while (frame := self._bus.recv(0.0)) is not None:
             self.counts.unrequested += self._take(frame) is not None
+            if time.monotonic() > end:
+                return False
+        return True
 
     def _take(self, frame: Any) -> Reading | None:
-        if frame.is_error_frame or frame.is_remote_frame or frame.is_extended_id:
+        if frame.is_error_frame or frame.is_remote_frame or frame.is_extended_id or frame.is_fd:
             self.counts.ignored += 1
             return None
         if frame.arbitration_id == self._settings.base:
             self.counts.foreign_requests += 1
             self.counts.foreign_bias += bytes(frame.data[:1]) == bytes([Request.BIAS])
+            self._assembler.begin()  # the sensor begins anew, and what comes now may be of another sample or another zero
             return None
         try:
             return self._assembler.take(frame.arbitration_id, frame.data)
         except ProtocolError:
             self.counts.bad += 1
             return None
+        finally:
+            self.counts.incomplete = self._assembler.incomplete
 
     def _pass_on(self, reading: Reading, now: float) -> None:
         before, self._sample = self._sample, reading.sample

@@ -36,6 +36,7 @@ OUT_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 ANSWER_WAIT = 1.0  # s
 RELEASE_WAIT = 5.0  # s for bus and block to be closed
 SILENT = 0.5  # s without a reading
+SPOILT = 5  # answers in a second that were spoilt on the bus, beyond which somebody should look at it
 
 
 class CanFtNode(Managed):
@@ -55,6 +56,7 @@ class CanFtNode(Managed):
         self._came_in = 0.0
         self.listener: threading.Thread | None = None  # receives from the sensor's process
         self._foreign = 0  # requests of another device up to the last second
+        self._flooded = self._spoilt = 0  # counts up to the last second
         self._out = self.create_publisher(WrenchStamped, "wrench_raw", OUT_QOS)
         self.create_service(Trigger, "~/bias", self._on_bias)
         self.create_timer(1.0, self._on_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -148,7 +150,7 @@ class CanFtNode(Managed):
         if not self.active:
             level, text = WARN, "not active: readings are not passed on"
         elif time.monotonic() - self._came_in > SILENT:
-            level, text = ERROR, "no reading from the sensor"
+            level, text = ERROR, f"no reading from the sensor{'' if text == 'reading' else '; ' + text}"
         if errors_here := "; ".join(self.errors.values()):
             level, text = ERROR, f"{text}; {errors_here}"
         self._status.publish(status(self, "sensor", level, text, values, self._frame))
@@ -156,13 +158,24 @@ class CanFtNode(Managed):
     def _judge_counts(self, counts: dict[str, int]) -> tuple[bytes, str]:
         """What somebody else does on the bus."""
         asked, self._foreign = counts["foreign_requests"] - self._foreign, counts["foreign_requests"]
+        flooded, self._flooded = counts["flooded"] - self._flooded, counts["flooded"]
+        spoilt = counts["bad"] + counts["incomplete"]
+        spoilt, self._spoilt = spoilt - self._spoilt, spoilt
         if counts["foreign_bias"]:
             return (
                 ERROR,
                 "another device has set the sensor's zero: set it again without contact (~/bias), and end that device",
             )
+        if flooded:
+            return ERROR, "more frames with the sensor's identifiers come than can be read: look for what else sends on its bus"
         if asked:
             return WARN, f"another device asks the sensor too, {asked} times in the last second: answers may be cut off"
+        if spoilt > SPOILT:
+            return (
+                WARN,
+                f"{spoilt} answers of the last second were of the wrong length or lost a frame, more than {SPOILT}: look for"
+                " another device with the sensor's identifiers, and at bit rate, cable and termination",
+            )
         return OK, "reading"
 
 

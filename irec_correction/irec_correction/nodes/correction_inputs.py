@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
+from irec_calibration.joint_states import contradiction, named_twice
 from irec_calibration.typing import Array
 from sensor_msgs.msg import JointState
 
@@ -36,6 +37,8 @@ class CorrectionInputs:
         self._names: list[str] = []
         self._columns: list[int] = []
         self._rail: int | None = None
+        self._twice: list[tuple[str, list[int]]] = []
+        self._links_twice: list[tuple[str, list[int]]] = []
         self._link_names: list[str] = []
         self._link_columns: list[int] = []
 
@@ -60,7 +63,7 @@ class CorrectionInputs:
             if self._strangers is not None:
                 self._strangers(self._names)
             return
-        if not self._has_rail():
+        if not self._has_rail() or not self._agree(message):
             return
         # names without a position are missing joints, and the watchdog says how many came
         given = len(message.position)
@@ -92,6 +95,15 @@ class CorrectionInputs:
         )
         return False
 
+    def _agree(self, message: JointState) -> bool:
+        """Whether a joint that is named twice is at one place."""
+        why = contradiction(self._twice, message.position) if self._twice else ""
+        if why:
+            self._correction.watchdog.refuse("joint names", Fault.JOINTS_NAMES, f"joint_states: {why}")
+        else:
+            self._correction.watchdog.clear("joint names")
+        return not why
+
     def take_links(self, message: JointState) -> None:
         """Link-side angles by name; a message without any joint of the robot is somebody else's."""
         if self._links is None:
@@ -99,7 +111,11 @@ class CorrectionInputs:
         if message.name != self._link_names:
             self._link_names = list(message.name)
             self._link_columns = [self._link_names.index(j) for j in self._wanted if j in self._link_names]
+            self._links_twice = named_twice(self._link_names, self._wanted)
         if not self._link_columns:
+            return
+        if why := contradiction(self._links_twice, message.position):
+            self._correction.refuse_links(Finding(Fault.JOINTS_NAMES, f"link angles: {why}"))
             return
         given = len(message.position)
         angles = np.array([message.position[i] for i in self._link_columns if i < given], dtype=float)
@@ -120,3 +136,4 @@ class CorrectionInputs:
         self._names = names
         self._columns = [names.index(j) for j in self._wanted if j in names]
         self._rail = names.index(self._rail_joint) if self._rail_joint in names else None
+        self._twice = named_twice(names, (*self._wanted, self._rail_joint))

@@ -7,12 +7,12 @@ A lifecycle node: configured, it answers the controller with zero; active, with 
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-import rclpy
 from geometry_msgs.msg import TransformStamped, WrenchStamped
 from irec_calibration.cell import read_cell
 from irec_calibration.errors import IrecError
@@ -36,6 +36,7 @@ from . import parameters
 from .chain_clock import ChainClock
 from .fade_out import not_at_zero
 from .input_senders import InputSenders, two_senders
+from .loop_pipe import ANSWER_WAIT, LoopPipe
 from .managed import Managed, run_managed
 from .model_checks import Mounted, calibration_in_force, read_checked
 from .offset_topics import OFFSET, refusal, wait_for_discovery
@@ -44,7 +45,6 @@ from .rsi_monitor import MONITOR_RATE, RsiMonitor
 from .rsi_setup import bridge_setup
 
 IN_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-ANSWER_WAIT = 2.0  # s for the loop to carry out a command
 AT_REST = (State.INACTIVE, State.FAULT)
 RSI_ENDED = 1.5  # s without a packet, after which the controller has stopped by its time-out and holds no offset
 
@@ -55,17 +55,17 @@ class RsiNode(Managed):
     _monitor: RsiMonitor
     _inputs: RsiInputs
 
-    def __init__(self, pipe: Connection) -> None:
+    def __init__(self, pipe: Connection, asked_to_stop: threading.Event) -> None:
         super().__init__("rsi_bridge")
         self._made = time.monotonic()
         own = {q.name for q in parameters.RSI}
         fixed = [replace(q, settable=False) for q in parameters.CORRECTION if q.name not in own]  # the loop gets them once
         self._p = p = Parameters(self, (*fixed, *parameters.RSI))
         refuse_unknown_parameters(self)
-        self._pipe = pipe
+        self._loop = LoopPipe(pipe, lambda kind, content: self._monitor.take(kind, content))
+        self._asked_to_stop = asked_to_stop
         self._status = self._diagnostics = Diagnostics(self)
         self._clock_of_chain = ChainClock(self)
-        self._answers: list[str] = []
         self._blocks: list[SharedValues] = []
         self._begun = False  # the loop has its setup
         if p["autostart"]:
@@ -154,7 +154,7 @@ class RsiNode(Managed):
         return not_at_zero(self._monitor.state)
 
     def _state_of_loop(self) -> State:
-        self._listen(0.0)
+        self._loop.listen(0.0)
         return self._monitor.state
 
     def release(self) -> None:
@@ -179,13 +179,7 @@ class RsiNode(Managed):
         setup = bridge_setup(
             self._p, self._cell, self._report.name, self._latency.name, self._inputs, self.get_logger().info
         )  # fmt: skip
-        self._pipe.send(setup)
-        kind, content = self._pipe.recv()
-        while kind not in ("ready", "failed"):  # what a loop that was released still had to say may come first
-            kind, content = self._pipe.recv()
-        if kind == "failed":
-            raise SettingsError(str(content))
-        port, refused = content
+        port, refused = self._loop.begin(setup)
         for text in refused:
             self.get_logger().warning(text)
         self.get_logger().info(f"answering {setup.link.peer} on {setup.link.address}:{port}, offset from {self._p['source']}")
@@ -211,23 +205,7 @@ class RsiNode(Managed):
         """Empty, or why the loop did not do it within so many s."""
         if not self._begun:
             return "rsi_bridge is not configured; configure it first"
-        self._listen(0.0)  # an answer that came too late is not that of this command
-        self._answers.clear()
-        self._pipe.send((command, argument))
-        end = time.monotonic() + wait
-        while not self._answers:
-            if time.monotonic() > end:
-                return f"the RSI loop did not answer within {wait:g} s"
-            self._listen(0.05)
-        return self._answers.pop()
-
-    def _listen(self, timeout: float) -> None:
-        while self._pipe.poll(timeout):
-            kind, content = self._pipe.recv()
-            if kind == "answer":
-                self._answers.append(content)
-                return
-            self._monitor.take(kind, content)
+        return self._loop.ask(command, argument, wait)
 
     def _put_in_force(self, path: str) -> str:
         try:
@@ -261,11 +239,20 @@ class RsiNode(Managed):
     def _on_timer(self) -> None:
         if not self._begun:  # it was due already when the node was cleaned up
             return
-        self._listen(0.0)
+        self._loop.listen(0.0)
+        if (why := self._loop.ended) is not None:
+            self._end(why)
+            return
         self._look_for_senders()
         self._monitor.publish()
         if self._monitor.state is State.FAULT and self.active and self._p["source"] == "chain":
             self.trigger_deactivate()  # stays in FAULT; so "activate" is what the operator can ask for
+
+    def _end(self, why: str) -> None:
+        """The loop has ended before the node, as where a signal reaches its process alone: nothing is left to watch."""
+        if why:
+            self.get_logger().error(why)
+        self._asked_to_stop.set()
 
     def _look_for_senders(self) -> None:
         """Of two senders of an input nobody knows whom to believe."""
@@ -282,10 +269,8 @@ class RsiNode(Managed):
         self._monitor.publish_diagnostics("; ".join(refused + errors))
 
     def on_error(self, where: str, error: Exception, answered: bool) -> None:
-        """A loop that can't be reached any more ends the node; anything else fades the offset out, unless a service failed."""
-        if isinstance(error, (EOFError, BrokenPipeError)):
-            rclpy.try_shutdown()
-        elif self._begun and not answered:
+        """Fade the offset out, unless it was a service that failed and its caller knows."""
+        if self._begun and not answered:
             self._pass_on_refusal(where, Finding(Fault.INTERNAL, f"unexpected error in {where}: {type(error).__name__}: {error}"))
 
     def _pass_on_refusal(self, source: str, finding: Finding | None) -> None:
@@ -293,7 +278,7 @@ class RsiNode(Managed):
         if finding is not None:
             self.get_logger().warning(f"{source} is not used: {finding.text}", throttle_duration_sec=5.0)
         if self._begun:
-            self._pipe.send(("refused", (source, finding)))
+            self._loop.tell("refused", (source, finding))
 
     def ended(self) -> None:
         """Remove the blocks; the loop keeps its own hold on them."""
@@ -312,4 +297,4 @@ def main(pipe: Connection, arguments: list[str]) -> int:
         with contextlib.suppress(OSError):  # the loop's process has ended already where it was the one that refused
             pipe.send(None)
 
-    return run_managed("rsi_bridge", lambda _: RsiNode(pipe), arguments, if_refused=if_refused)
+    return run_managed("rsi_bridge", lambda asked: RsiNode(pipe, asked), arguments, if_refused=if_refused)

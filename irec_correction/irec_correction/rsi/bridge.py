@@ -128,9 +128,10 @@ class Bridge:
                 self._problem = self.loop.problem
                 pipe.send(("problem", self._problem))
         except (EOFError, OSError):
-            self._pipe, self.stopped = None, True
+            asked, self._pipe, self.stopped = self.stopped, None, True
             self.source.stop(time.monotonic())
-            print("rsi_bridge: the ROS side has gone; the offset fades out, packets are answered with zero", file=sys.stderr)
+            if not asked:  # after a signal to both the node is the first to end
+                print("rsi_bridge: the ROS side has gone; the offset fades out, packets are answered with zero", file=sys.stderr)
 
     def _execute(self, command: str, argument: object = None) -> str:
         """Carry out a command; empty, or why not."""
@@ -152,6 +153,13 @@ class Bridge:
 
 def run_bridge(pipe: Connection) -> int:
     """Body of the process: receive a BridgeSetup (or None: end) through the pipe, answer, and again. Exit code."""
+    code = _serve(pipe)
+    with contextlib.suppress(OSError):  # the other side has gone before
+        pipe.send(("ended", ""))  # a signal may have reached this process alone: the other side tells that from a crash
+    return code
+
+
+def _serve(pipe: Connection) -> int:
     while True:
         setup, code = next_setup(pipe)
         if setup is None:

@@ -16,7 +16,9 @@ offset stands until packets of the sequence come alone again.
 
 A new session begins at zero. That is right only where the controller has stopped, so it takes evidence of that: Delay that has
 counted fewer cycles than went by, or packets of another sequence (its clock was set anew) that begin after more cycles without
-any answer than its time-out allows. Without that there is no answer: what the controller holds stays, until it stops by itself.
+any answer than its time-out allows. Cycles are counted by IPOC here and by Delay there, so after the gap IPOC has to go on by one
+cycle once: a controller at 12 ms counts a third of the cycles of 4 ms. Without that there is no answer: what the controller holds
+stays, until it stops by itself.
 Who sends packets from the controller's own socket while none of the controller's come can't be told from it.
 
 Every cycle is answered, but for two cases in which any answer could make the robot jump: RSI ran before this process did, or
@@ -76,6 +78,7 @@ class Sequence:
         self._delay: int | None = None  # of the newest packet
         self._answered: tuple[int, int | None] | None = None  # IPOC and Delay of the packet answered last
         self._doubt = False  # it is not known what the controller holds
+        self._paced = False  # IPOC has gone on by one cycle since packets were missing
         self._holding = False
         self._starting: tuple[int, float] | None = None  # packets that say that a session is new, and the time of the first
         self._going_on: tuple[int, float] | None = None  # and those that say that it is the one of the last answer
@@ -166,8 +169,11 @@ class Sequence:
         """Take a packet as the newest; whether Delay has risen since the one before. Learns how Delay counts."""
         last, self.newest, self._newest_at, self._delay, self._other = self._delay, ipoc, now, delay, None
         self._arrivals.add(ipoc, now)
+        if steps is None or steps > SHORTEST_PAUSE - EARLY:
+            self._paced = False
         if steps is None:
             return False
+        self._paced = self._paced or steps == 1
         self._complaints.pace(steps == 1)
         return self._delays.follow(last, delay, steps)
 
@@ -241,6 +247,7 @@ class Sequence:
             )
             return Action.SILENT
         self._follow(ipoc, delay, now, None)
+        self._paced = True  # NEW_CLOCK packets, one a cycle
         if self._answered is not None:  # by the new clock
             self._answered = ipoc - cycles * self._cycle_ms, then
         return self._after_silence(ipoc, delay, now)
@@ -306,8 +313,14 @@ class Sequence:
     def _start_when_sure(self, now: float) -> Action:
         """Begin at once where that is no step, otherwise after CONFIRM packets that agree."""
         self._going_on, self._starting = None, _one_more(self._starting, now)
-        if self.sent.text == self._zero.text or self._is_sure(self._starting, now):
+        sure = self._is_sure(self._starting, now)
+        if self.sent.text == self._zero.text or (sure and self._paced):
             return self._start()
+        if sure:
+            self.problem = (
+                f"packets were missing, and IPOC goes on by more than {self._cycle_ms} ms since then, so that Delay does not tell"
+                " whether RSI was started anew: no answer until it has stopped; check parameter cycle_ms (IPO_FAST: 4, IPO: 12)"
+            )
         self._doubt = True
         return Action.SILENT
 

@@ -18,6 +18,7 @@ from ..conditioning import Cable, Conditioner, FilterSettings, make_filters, sen
 from ..correction import Correction, CorrectionSettings, Counts, Output
 from ..deflection import Deflection
 from ..errors import CorrectionError
+from ..figures import fixed
 from ..limits import OffsetLimiter
 from ..preview import ForceProfile, Preview
 from ..shared import WRENCH_SIZE, SharedValues
@@ -273,7 +274,7 @@ class GivenSource:
         if self._refused:
             return next(iter(self._refused.values()))
         if not self._block.read(self._values) or not 0.0 <= now - self._values[0] + 1e-3 <= self._timeout:
-            age = f"for {now - self._values[0]:.3f} s" if self._block.version else "yet"
+            age = f"for {fixed(now - self._values[0], 3)} s" if self._block.version else "yet"
             return Finding(Fault.OFFSET_STALE, f"no offset {age}, limit {self._timeout} s")
         if not np.all(np.isfinite(self._values)):
             return Finding(Fault.OFFSET_NOT_FINITE, "offset holds NaN or infinity")
