@@ -17,9 +17,6 @@ from .traits import Cause, Family
 LARGEST = 1.5e-3  # rad; ten times the transmission error of sound gears (0.5 arcmin), beyond any eccentric disc that still counts
 UPRIGHT = 0.01  # of the rated torque, up to which the weight of the arm says nothing of the side on which play lies
 CANCEL = 8.0  # times what the curve of an axis deviates from its mean; harmonics so much larger take each other away
-# Log odds in a loaded session, chosen: only an encoder far out of order shows in differences at one pose, and whatever goes with
-# the angles by which a reference stands elsewhere (a hose, a warm link) looks like one.
-IN_DIFFERENCES = -12.0
 
 
 class EncoderHarmonics(Effect):
@@ -31,13 +28,12 @@ class EncoderHarmonics(Effect):
         "all but cancels."
     )
     family = Family.ANGLE_ERROR
-    beside = "geometry_error"  # over a short travel a harmonic is a joint's zero and little else
     cause = Cause.STATE
     turns_by_angle = True
     needs = ("tracker", "weight")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        # in a loaded session only errors far above those of a sound encoder can show
+        # in a loaded session only errors far above those of a sound encoder show at all
         size = 1e-3 if scene.kind == "loaded" else 1e-4
         return tuple(
             Parameter(f"{t}{m}_{k + 1}", "rad", size, plausible=(-LARGEST, LARGEST), group=f"axis {k + 1}", axis=int(k))
@@ -46,17 +42,19 @@ class EncoderHarmonics(Effect):
             for t in ("a", "b")
         )
 
-    def log_odds(self, scene: Scene) -> float:
-        return IN_DIFFERENCES if scene.kind == "loaded" else 0.0
-
     def regressor(self, scene: Scene, theta: Array) -> Array:
         columns = scene.J[:, :, :, None] * self._waves(scene)[:, None]
         n = len(scene)
         return columns[:, :, self._turning(scene)].reshape(n, 3, -1)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
-        """Harmonics of the axis with the largest curve that cancel but for a small difference: over the travel of that axis they
-        describe some smooth curve, and no encoder."""
+        """Any in a loaded session: between a reference and its load cases they all but cancel, and what goes with the angles by
+        which a reference stands elsewhere is a joint or link that is wrong, a hose, or a link that warms up, far more often.
+
+        Else harmonics of the axis with the largest curve that cancel but for a small difference: over the travel of that axis
+        they describe some smooth curve, and no encoder."""
+        if scene.kind == "loaded":
+            return "harmonics of an encoder all but cancel between a reference and its load cases; an absolute session tells them"
         none = np.array([0.0, 0.0])
         found = np.array([values.get(p.name, none) for p in self.parameters(scene)]).reshape(-1, 4, 2)  # axis, wave, (value, se)
         if not len(found):

@@ -69,6 +69,14 @@ def test_what_small_harmonics_of_another_axis_do_is_not_asked() -> None:
     assert not EFFECT.why_impossible(values, {}, arm(60.0))
 
 
+def test_a_loaded_session_tells_of_no_encoder() -> None:
+    """Whatever their size: a joint that stands elsewhere, a hose or a warm link goes with the same angles."""
+    scene = arm(120.0)
+    assert EFFECT.why_impossible({"a1_1": (1e-4, 1e-5)}, {}, scene) == ""
+    scene.kind = "loaded"
+    assert "absolute session" in EFFECT.why_impossible({"a1_1": (1e-4, 1e-5)}, {}, scene)
+
+
 def test_no_encoder_is_worse_in_a_loaded_session_than_in_an_absolute_one() -> None:
     loaded, absolute = (EFFECT.parameters(scene_of(s)) for s in (synthetic.session(2), absolute_sessions.session(poses=4)))
     limits = {p.plausible for p in (*loaded, *absolute)}
