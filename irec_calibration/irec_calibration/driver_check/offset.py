@@ -41,8 +41,9 @@ def judge_offset(o: Offsets) -> list[Item]:
     """All items of the level."""
     items: list[Item] = []
 
-    def item(name: str, passed: bool, figure: str, limit: str, advice: str) -> None:
-        items.append(Item(LEVEL, name, bool(passed), figure, limit, advice))
+    def item(name: str, passed: bool | None, figure: str, limit: str, advice: str) -> None:
+        """passed: None where it could not be checked."""
+        items.append(Item(LEVEL, name, bool(passed), figure, limit, advice, passed is not None))
 
     s, tcp = o.seen.streams.get("robot/state"), o.seen.streams.get("tcp_pose")
     if s is None or tcp is None or len(s.stamp) < 5 or len(tcp.stamp) < 5:
@@ -50,7 +51,7 @@ def judge_offset(o: Offsets) -> list[Item]:
         return items
     item(
         "offsets are sent in time",
-        o.without <= SENT_WITHIN,
+        True if o.without <= SENT_WITHIN else None,
         f"{o.without:.2f} s without one",
         f"{SENT_WITHIN:g} s",
         "this tells nothing of the driver: this computer, or the wrench that each offset is sent with, stood still; check again",

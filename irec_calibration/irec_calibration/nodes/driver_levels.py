@@ -34,7 +34,7 @@ FREE_READINGS = 50  # of the wrench before contact, averaged
 FARTHEST = 0.02  # m from where the tool was a few millimetres above the surface
 OFFSET = 1e-3  # m
 FAR = 0.1  # m
-TRIES = 3  # of offsets that this computer sends in time
+TRIES = 8  # of offsets that this computer sends in time; on one that is shared something often comes between
 
 
 def passive(client: DriverClient, cell: Cell, axes: Axes) -> list[Item]:
