@@ -141,8 +141,10 @@ def test_offset_reaches_the_controller_and_the_loop_outlives_the_node(drive, ros
     assert bridge.wait(START) == 0
 
 
-@pytest.mark.parametrize("alone", [True, False], ids=["main process alone", "whole group"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "alone", [True, pytest.param(False, marks=pytest.mark.long)], ids=["main process alone", "whole group"]
+)
 def test_a_signal_to_the_process_alone_or_with_the_node_fades_the_offset_out_and_ends_both_without_an_error(
     drive, ros_domain, start_process, tmp_path, number, alone
 ):
