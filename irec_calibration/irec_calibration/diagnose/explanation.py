@@ -67,7 +67,7 @@ def explain(start: Explanation, current: Explanation, trial: Trial, family: Fami
     fitted = refit(current.study, trial)
     if fitted is None:
         return None
-    gained = evidence_of(fitted) - evidence_of(current.study) - log(len(FACTORS))
+    gained = _evidence(fitted) - _evidence(current.study) - log(len(FACTORS))
     saved = _saved(current.study, fitted, fitted.true_chi2)
     named = supported(gained, saved) + trial.best.log_prior
     if not current.added:  # the trial tried more prior widths, but there no spring gives way to an effect
@@ -82,8 +82,7 @@ def reshaped_again(start: Explanation, one: Explanation, family: Family) -> Expl
     study = reshaped(one.study, one.ids) if len(one.added) > 1 else one.study
     if study is one.study:
         return one
-    before, after = (s.bench.posterior(s.base) for s in (one.study, study))
-    named = one.named + supported(evidence_of(study) - evidence_of(one.study), one.study.bench.saved(before.chi2, after.chi2))
+    named = one.named + borne_out(one.study, study)
     return Explanation(study.terms[len(start.study.terms) :], study, named, remainder_of(study, family, one.remainder.parts))
 
 
@@ -128,13 +127,19 @@ def _without(start: Explanation, one: Explanation, effect_id: str, family: Famil
     bent = bends(one.term(effect_id), one.study.ready)
     # what bends the same curve was shaped beside the one taken out
     rest_study = reshaped(rest_study, [t.effect.id for t in terms if bends(t, one.study.ready) & bent])
-    lost = evidence_of(one.study) - log(len(FACTORS)) - evidence_of(rest_study)
+    lost = _evidence(one.study) - log(len(FACTORS)) - _evidence(rest_study)
     added = tuple(t for t in rest_study.terms if t.effect.id in one.ids)
     rest = remainder_of(rest_study, family, one.remainder.parts)
     return Explanation(added, rest_study, one.named - min(lost, _saved(rest_study, one.study)), rest)
 
 
-def evidence_of(study: Study) -> float:
+def borne_out(before: Study, after: Study) -> float:
+    """Log evidence of a model over the same before its effects were changed, as far as the data bear it out (`supported`)."""
+    chi2 = [s.bench.posterior(s.base).chi2 for s in (before, after)]
+    return supported(_evidence(after) - _evidence(before), before.bench.saved(*chi2))
+
+
+def _evidence(study: Study) -> float:
     """Log evidence of a model, with the odds of how large what completes the form of its springs has to be for it."""
     return study.bench.posterior(study.base).log_evidence + study.log_odds_of_form
 

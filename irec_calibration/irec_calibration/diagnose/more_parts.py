@@ -11,19 +11,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import comb, log
 
-import numpy as np
-
-from ..effects import Parameter
 from ..errors import SolveError
 from ..model import Estimate, Term
-from .candidates import Table, supported
+from .candidates import Table
 from .columns import block_columns
-from .explanation import Explanation, evidence_of, in_one_pose, remainder_of
+from .explanation import Explanation, borne_out, in_one_pose, remainder_of
 from .family import Family
 from .ground import Ground
 from .priors import FACTORS
 from .rivals import Check
 from .settings import Settings
+from .shape import estimate_at
 from .study import study_of
 
 
@@ -81,12 +79,8 @@ def _parts(one: Explanation) -> Iterator[_Part]:
         log_prior = log(comb(of, k)) - log(comb(of, k + 1)) if absent else 0.0
         for (_, columns), posterior in zip(sets, found, strict=True):
             names = [parameters[j] for j in columns]
-            values = {p.name: _estimate(p, float(x)) for p, x in zip(names, posterior.x, strict=True)}
+            values = {p.name: estimate_at(p, float(x) * p.scale) for p, x in zip(names, posterior.x, strict=True)}
             yield _Part(term, values, log_prior, posterior.log_evidence - ground.log_evidence + log_prior)
-
-
-def _estimate(p: Parameter, scaled: float) -> Estimate:
-    return Estimate(float(np.clip(scaled * p.scale, p.lower, p.upper)), unit=p.unit, lower=p.lower, upper=p.upper)
 
 
 def _with(one: Explanation, part: _Part, family: Family) -> Explanation | None:
@@ -97,8 +91,6 @@ def _with(one: Explanation, part: _Part, family: Family) -> Explanation | None:
         fitted = study_of(study.observation, tuple(wider if t is part.term else t for t in study.terms))
     except SolveError:
         return None
-    before, after = (s.bench.posterior(s.base) for s in (study, fitted))
-    gained = supported(evidence_of(fitted) - evidence_of(study), study.bench.saved(before.chi2, after.chi2))
     added = fitted.terms[len(study.terms) - len(one.added) :]
     rest = remainder_of(fitted, family, one.remainder.parts)
-    return Explanation(added, fitted, one.named + gained + part.log_prior, rest)
+    return Explanation(added, fitted, one.named + borne_out(study, fitted) + part.log_prior, rest)

@@ -34,7 +34,7 @@ def refit(study: Study, trial: Trial) -> Study | None:
     shape = _refined(study, trial)
     known = dict(zip(variant.names, trial.posterior.x * variant.scale, strict=True)) | shape
     estimates = {
-        p.name: Estimate(float(np.clip(known[p.name], p.lower, p.upper)), unit=p.unit, lower=p.lower, upper=p.upper)
+        p.name: estimate_at(p, known[p.name])
         for p in variant.effect.parameters(study.ready)
         if p.name in known
     }
@@ -52,6 +52,11 @@ def refit(study: Study, trial: Trial) -> Study | None:
         except SolveError:
             continue
     return max(fitted, key=lambda s: s.bench.posterior(s.base).log_evidence, default=None)
+
+
+def estimate_at(p: Parameter, value: float) -> Estimate:
+    """A parameter at a value, or at the bound before it."""
+    return Estimate(float(np.clip(value, p.lower, p.upper)), unit=p.unit, lower=p.lower, upper=p.upper)
 
 
 def _nearly_none(term: Term, study: Study) -> bool:

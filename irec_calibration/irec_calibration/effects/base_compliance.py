@@ -100,11 +100,7 @@ class BaseCompliance(Effect):
             Parameter("r_xy", "rad/(N m)", scale, plausible=(-limit, limit), group="rotation"),
             *(
                 Parameter(
-                    f"tr_{t}{r}",
-                    "m/(N m)",
-                    PLACE * scale,
-                    plausible=(-far, far),
-                    group="place of tilting",
+                    f"tr_{t}{r}", "m/(N m)", PLACE * scale, plausible=(-far, far), group="place of tilting",
                     refines=scene.kind == "absolute",  # under the weight alone much else passes for it
                 )
                 for t, r in COUPLED

@@ -99,4 +99,6 @@ def test_a_station_that_is_bumped_between_a_reference_and_its_load_cases_is_name
     bumped = quiet.p_marker_in_station + (quiet.stamp > reference)[:, None] * FAR + [0.03, -0.02, 0.01]
     verdict = diagnose(replace(quiet, p_marker_in_station=bumped)).verdict
     assert "station_shift" in verdict.effects
+    assert f"Station shift breaks pose {POSE}, which no other pose predicts" in verdict.text
+    assert "without that pose" in verdict.text
     assert not any("station_shift" in several for several in verdict.one_of)

@@ -56,6 +56,11 @@ def test_an_error_that_does_not_fall_is_not_said_to_fall() -> None:
     assert "the error on held-out poses goes from 50.0 um to 60.0 um." in text
 
 
+def test_a_tool_weight_that_differences_and_references_show_is_named_once() -> None:
+    found = SimpleNamespace(names=("tool_weight", "creep"), weight_wrong=True)
+    assert wording._named(found) == ("tool_weight", "creep")  # type: ignore[arg-type]
+
+
 def test_of_several_effects_it_is_said_whose_axes_are_not_sure() -> None:
     text = missing("joint_backlash", "joint_torsion")
     assert "Joint backlash: perhaps also axis 3" in text and "Joint torsion: perhaps also axis 3" in text
