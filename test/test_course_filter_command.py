@@ -227,6 +227,7 @@ def test_courses_that_were_corrected_tell_the_same_where_their_offset_is_recorde
     assert float(np.abs(taps[1] - taps[0]).sum(axis=1).max()) < 0.35 * float(np.abs(taps[0]).sum(axis=1).max())
 
 
+@pytest.mark.long
 def test_a_force_that_is_known_is_not_left_to_the_filter(
     cell: Cell, bags: dict[str, list[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

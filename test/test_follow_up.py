@@ -41,6 +41,7 @@ def planned(first: Path) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_what_a_session_does_not_tell_is_told_by_the_poses_that_are_planned_for_it(first: Path, planned: Path, tmp_path) -> None:
     before = verdict(first, tmp_path / "before")
     assert (before["status"], before["effects"]) == ("unexplained", [])

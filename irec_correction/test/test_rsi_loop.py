@@ -25,6 +25,8 @@ from irec_correction.state import State
 from irec_correction.watchdog import Fault, Finding
 from irec_sim.devices.rsi_controller import RobotState, RsiController
 
+pytestmark = pytest.mark.timed
+
 RATE = CorrectionSettings().limits.translation.rate
 STEP = RATE * PERIOD * (1 + 1e-9) + 2e-7  # packets carry 0.1 um
 PATIENT = replace(  # a shared machine may hold this process up for longer than a real cell would accept

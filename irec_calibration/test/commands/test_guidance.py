@@ -108,6 +108,7 @@ def test_parameters_are_for_formulas(measured, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_diagnosis_fits_a_hundred_columns_and_prints_the_command_that_adds_what_it_named(measured, tmp_path):
     session, model = measured
     command = [sys.executable, "-m", "irec_calibration.cli", "diagnose", session, "--model", model, "-o", str(tmp_path)]

@@ -99,12 +99,14 @@ def test_what_a_structure_is_said_to_bring_it_brings() -> None:
         assert part.log_evidence - 0.01 < brought < part.log_evidence + np.log(9.0) + 0.01
 
 
+@pytest.mark.long
 def test_a_reflector_that_is_seated_anew_stands_out_of_what_the_springs_leave() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=seated_anew)).verdict
     assert "joint_torsion" in verdict.effects
     assert "the reflector seated anew at pose 71," in verdict.text
 
 
+@pytest.mark.long
 def test_the_pedestal_of_a_light_robot_may_be_as_soft_as_that_robot_is_light() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=on_a_soft_pedestal)).verdict
     assert set(verdict.effects) == {"base_compliance", "joint_torsion"}, verdict.text
@@ -122,6 +124,7 @@ def _groups_tried(effect: Effect, s: Session) -> set[str]:
     return {n for table in option.tables for n in table.groups}
 
 
+@pytest.mark.long
 def test_a_base_that_is_named_has_the_place_where_it_tilts() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=on_a_pedestal_that_tips_about_an_edge)).verdict
     assert "base_compliance" in verdict.effects, verdict.text
@@ -131,12 +134,14 @@ def test_a_base_that_is_named_has_the_place_where_it_tilts() -> None:
     np.testing.assert_allclose([float(v) for v in told.groups()], [0.5, 0.0], atol=0.1)
 
 
+@pytest.mark.long
 def test_what_the_instrument_reads_wrongly_is_told_by_where_it_looks_and_passes_for_no_error_of_joint_angles() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=seen_at_wrong_angles)).verdict
     assert "encoder_harmonics" not in verdict.effects
     assert verdict.remaining_m > 1e-5 and "marker_x" in verdict.depends_on, verdict.text
 
 
+@pytest.mark.long
 def test_the_general_law_of_the_step_before_is_no_rival_of_what_is_a_form_of_it() -> None:
     made = session(poses=80, noise=NOISE, moved=settles_slowly)
     assert set(diagnose(made).verdict.effects) == {"joint_settling", "joint_torsion"}
@@ -152,11 +157,13 @@ def test_the_general_law_of_the_step_before_is_no_rival_of_what_is_a_form_of_it(
     assert not any(own_forms(replace(alone, added=(settling, friction)), "joint_settling").has(s) for s in by_step)
 
 
+@pytest.mark.long
 def test_the_general_law_of_an_axis_own_angle_is_no_rival_of_the_harmonics_of_its_encoder() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=read_by_an_eccentric_encoder)).verdict
     assert set(verdict.effects) == {"encoder_harmonics", "joint_torsion"}, verdict.text
 
 
+@pytest.mark.long
 def test_what_harmonics_do_not_explain_of_an_encoder_is_said() -> None:
     verdict = diagnose(session(poses=80, noise=NOISE, moved=read_by_a_chipped_encoder)).verdict
     assert verdict.remaining_m > 1e-5 and "joint_1" in verdict.depends_on, verdict.text

@@ -58,6 +58,7 @@ def test_one_reading_that_is_little_off_is_weighed_with_the_causes() -> None:
     assert set_apart(measured(3, by=0.1)) == []
 
 
+@pytest.mark.long
 def test_beside_an_accident_a_cause_is_named_and_a_bumped_station_is_no_rival_of_it() -> None:
     session = measured(5, by=0.4)
     verdict = diagnose(session).verdict

@@ -57,6 +57,7 @@ def test_a_result_has_one_entry_for_each_row() -> None:
     assert (one["kind"], one["action"], other["kind"]) == ("jump", SET_ASIDE, "stands out")
 
 
+@pytest.mark.long
 def test_a_bad_reading_beside_a_missing_effect_is_told_once() -> None:
     def play(scene: Scene) -> NDArray[np.float64]:
         angle = 2e-4 * np.clip((scene.tau[:, 3] + scene.tau_gravity[:, 3]) / 5.0, -1.0, 1.0)

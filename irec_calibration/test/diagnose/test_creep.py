@@ -66,6 +66,7 @@ def creeping_under_the_weight(scene: Scene) -> Array:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_gears_that_creep_under_the_weight_from_pose_to_pose_creep_and_have_no_friction() -> None:
     ladder = improve(session(creeping_under_the_weight))
     creep = next(t for t in ladder.rungs[-1].model.terms if t.effect.id == "creep")
@@ -89,6 +90,7 @@ def read_too_high_the_longer_it_lasts(scene: Scene) -> Array:
     return np.asarray(-creeping(np.full(6, 0.3))(scene))
 
 
+@pytest.mark.long
 def test_a_force_sensor_whose_reading_creeps_is_no_creep_of_gears() -> None:
     verdict = diagnose(session(read_too_high_the_longer_it_lasts)).verdict
     assert "creep" not in verdict.effects and not any("creep" in s for s in verdict.one_of), verdict.text

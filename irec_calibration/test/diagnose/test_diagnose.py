@@ -138,6 +138,7 @@ def test_a_missing_effect_is_named(hidden: Callable[[Scene], Array], effect: str
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_gear_that_stops_winding_up_is_stiffening() -> None:
     verdict = diagnosis(piecewise_gear_of_axis_3).verdict
     assert verdict.effects == ("joint_stiffening",), verdict.text
@@ -177,6 +178,7 @@ def test_structure_needs_more_evidence_for_each_reading_that_stands_out(for_each
     assert len(found.remainder.bad_rows) == 1 and ("held_out_structure" in found.evidence) == shown
 
 
+@pytest.mark.long
 def test_play_in_a_bearing_is_not_taken_for_play_in_a_gear() -> None:
     verdict = diagnosis(play_in_the_bearing_of_axis_5).verdict
     assert verdict.status == "unexplained", verdict.text
@@ -184,6 +186,7 @@ def test_play_in_a_bearing_is_not_taken_for_play_in_a_gear() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_small_cause_is_named_beside_a_much_larger_one() -> None:
     def both(scene: Scene) -> Array:
         return 6.0 * play_of_axis_4(scene) + piecewise_gear_of_axis_3(scene)
@@ -212,6 +215,7 @@ def test_one_row_that_is_plainly_wrong_is_listed_and_is_no_cause() -> None:
     assert f"pose {clean.pose[40]}" in verdict.text
 
 
+@pytest.mark.long
 def test_a_gear_whose_stiffness_goes_with_its_angle_is_no_counterbalance() -> None:
     verdict = diagnosis(axis_2_softer_by_three_times_its_angle).verdict
     assert "counterbalance" not in verdict.effects, verdict.text

@@ -103,7 +103,7 @@ def ladder() -> Ladder:
     [
         (axis_3_stiffens, "joint_stiffening", ("axis 3",)),
         (axes_1_and_5_stiffen, "joint_stiffening", ("axis 1", "axis 5")),
-        (play_in_axes_1_and_4, "joint_backlash", ("axis 1", "axis 4")),
+        pytest.param(play_in_axes_1_and_4, "joint_backlash", ("axis 1", "axis 4"), marks=pytest.mark.long),
     ],
 )
 def test_the_axes_that_have_it_are_named_and_no_others(
@@ -150,6 +150,7 @@ def test_the_result_file_tells_what_is_proven_from_what_is_not() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_improved_model_has_parameters_of_the_proven_axis_only(tmp_path) -> None:
     model = load_model(save_model(ladder().model, tmp_path / "m.yaml"))
     term = next(t for t in model.terms if t.effect.id == "joint_stiffening")
@@ -201,6 +202,7 @@ def test_an_effect_that_another_one_makes_needless_is_not_named_beside_it() -> N
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_formula_that_somebody_registered_does_not_take_a_cause_its_name() -> None:
     # it mends the form of stiffening a little, and then neither of both is stronger than structure of unknown form
     effect_from_text("axis 1: slope * tau**3")

@@ -38,6 +38,7 @@ def knocked() -> Diagnosis:
     return diagnose(measured())
 
 
+@pytest.mark.long
 def test_the_cause_that_other_poses_show_is_named() -> None:
     assert knocked().verdict.effects == ("joint_backlash",)
     assert knocked().verdict.parts["joint_backlash"].proven == ("axis 4",)

@@ -30,7 +30,9 @@ def goes_over_at_zero(scene: Scene) -> Array:
     return turned(scene, angle)
 
 
-@pytest.mark.parametrize(("extra", "held"), [(lies_where_it_was, 1.0), (goes_over_at_zero, 0.0)])
+@pytest.mark.parametrize(("extra", "held"), [
+    pytest.param(lies_where_it_was, 1.0, marks=pytest.mark.long), (goes_over_at_zero, 0.0),
+])  # fmt: skip
 def test_it_is_named_and_told_from_play_that_is_crossed_at_zero(extra, held) -> None:
     ladder = improve(session(extra))
     assert ladder.before.verdict.effects == ("joint_backlash",)

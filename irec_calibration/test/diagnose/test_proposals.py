@@ -65,6 +65,7 @@ def test_a_gear_that_gives_way_to_the_torque_of_another_axis_is_proposed_and_sta
     assert ladder.rungs[-1].cv_rms_m < 1.2 * ladder.noise_floor_m < 0.6 * ladder.rungs[0].cv_rms_m
 
 
+@pytest.mark.long
 def test_a_gear_that_softens_in_the_course_of_a_session_is_described() -> None:
     found = diagnose(synthetic.session(poses=30, seed=8, extra=gear_3_softens_while_it_is_measured))
     assert any(p.formula.startswith("axis 3: tau * a * (t - ") for p in found.proposals)

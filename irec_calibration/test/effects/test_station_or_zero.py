@@ -41,6 +41,7 @@ def found(turn: tuple[float, float, float]) -> Diagnosis:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_which_of_the_two_it_is_no_verdict_says() -> None:
     verdict = found((0.0, 0.0, 0.02)).verdict
     assert verdict.one_of == (("station_registration", "geometry_error"),)

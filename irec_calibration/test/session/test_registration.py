@@ -10,7 +10,7 @@ from irec_calibration.session import Marker
 from irec_calibration.session.registration import ROWS_ENOUGH, registered
 
 
-@pytest.mark.parametrize("poses", [200, 620, 1250])
+@pytest.mark.parametrize("poses", [200, 620, pytest.param(1250, marks=pytest.mark.long)])
 def test_markers_that_take_turns_are_all_placed_however_many_rows_there_are(poses: int) -> None:
     """Beyond `ROWS_ENOUGH` every second, or third, row would be of some of six markers only."""
     sites = tuple((0.03 * i - 0.1, (-1) ** i * 0.05, 0.05 + 0.02 * i) for i in range(5))

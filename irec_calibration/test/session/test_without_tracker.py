@@ -236,6 +236,7 @@ def test_effects_that_need_a_tracker_or_a_relaxed_reference_are_refused(effect, 
         identify(held, blank_model([*EIGHTEEN_DOF, effect, "disc_compliance"]))
 
 
+@pytest.mark.long
 def test_improve_finds_the_play_of_a_gear_without_a_tracker(tmp_path, capsys):
     folder = write_table(pressed(encoder=2e-6, slip=1e-4, spread=3.0, gap=2e-4), tmp_path / "table")
     assert main(["improve", str(folder), "--without-tracker", "-o", str(tmp_path / "improved")]) == 0
