@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..identification.bad_rows import SHOWN_AGAIN
 from ..typing import Array, BoolArray, IntArray
 from .directions import TYPICAL_DISPLACEMENT, drifts, plain, readings, shaped, tilts, two_variables
 from .evidence import Block
@@ -236,8 +237,11 @@ def _bad_rows(study: Study, residuals: Sequence[Array]) -> Iterator[tuple[str, A
     moved = [(i, np.arange(len(size)) == i) for i in rows]
     shared = [k for k in dict.fromkeys(key[rows].tolist()) if k >= 0]
     session = observation.session
+    no_accident = {r for b in observation.bad if b.action == SHOWN_AGAIN for r in b.rows}
     for i, here in moved:
         row = observation.rows[i]
+        if int(row) in no_accident:
+            continue
         words = f"pose {observation.pose[i]}, load case {session.case_name(int(session.load_case[row]))}"
         yield words, _moved(study, here), len(size), here
     for k in shared:

@@ -117,7 +117,8 @@ def _jump(observation: Observation, row: int, shift: Array, size: float) -> BadR
                     return BadRow("nest", (row,), size, f"{text}marker {other.name} measured for {own.name}")
         if size > OUTLIERS.nest_m:
             return BadRow("nest", (row,), size, f"{text}another nest or a reading that belongs to another row")
-    return BadRow("jump", (row,), size, f"{text}a knocked reflector or a wrong reading")
+    x, y, z = shift.tolist()
+    return BadRow("jump", (row,), size, f"{text}a knocked reflector or a wrong reading", shift=(x, y, z))
 
 
 def _moved(session: Session, rows: tuple[int, ...], size: float, s: int) -> BadRow:

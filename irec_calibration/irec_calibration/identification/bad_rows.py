@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..session.data import Session
+from .settings import OUTLIERS
+
+SHOWN_AGAIN = "kept: another measurement of the same pose and load case shows it again, so that it is no accident"
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,7 @@ class BadRow:
         sentence: what is wrong, in plain words, without the action.
         action: `left out`, `down-weighted` or why it is kept.
         sigmas: by how many robust standard deviations it stands out; inf where it shows without any model.
+        shift: of a `jump`: by what the reading is moved, m, in base_link.
     """
 
     kind: str
@@ -29,6 +34,7 @@ class BadRow:
     sentence: str
     action: str = "left out"
     sigmas: float = np.inf
+    shift: tuple[float, float, float] | None = None
 
     @property
     def is_left_out(self) -> bool:
@@ -50,3 +56,22 @@ def place(session: Session, row: int) -> str:
 def mm(metres: float) -> str:
     """A length for a sentence, in the unit that suits it."""
     return f"{metres:.3g} m" if metres >= 1.0 else f"{1e3 * metres:.3g} mm" if metres >= 1e-4 else f"{1e6 * metres:.0f} um"
+
+
+def shown_again(session: Session, bad: Sequence[BadRow]) -> set[int]:
+    """Rows of a loaded session that jump as they do in another repeat of their pose and load case.
+
+    A repeat has its own reference and its own contact: that a reflector is knocked twice by the same is as good as impossible. What
+    bends one load case of one pose, such as a joint between links that opens there, is an effect.
+    """
+    if session.kind != "loaded":
+        return set()
+    jumps = [(b.rows[0], np.array(b.shift)) for b in bad if b.shift is not None and len(b.rows) == 1]
+    out: set[int] = set()
+    for i, one in jumps:
+        for j, other in jumps:
+            same = session.pose[i] == session.pose[j] and session.load_case[i] == session.load_case[j]
+            far = np.linalg.norm(one - other) > OUTLIERS.shown_again * max(np.linalg.norm(one), np.linalg.norm(other))
+            if same and session.repeat[i] != session.repeat[j] and not far:
+                out |= {i, j}
+    return out

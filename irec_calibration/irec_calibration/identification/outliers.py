@@ -20,7 +20,7 @@ import numpy as np
 from ..model import Term
 from ..typing import Array
 from .accidents import accidents
-from .bad_rows import BadRow, place
+from .bad_rows import SHOWN_AGAIN, BadRow, place, shown_again
 from .common_cause import common_cause
 from .gauss_newton import fitted
 from .gross_errors import wrong_forces, wrong_joints
@@ -57,6 +57,8 @@ def treated(observation: Observation, terms: Sequence[Term], lasting: Sequence[i
             for b in bad
         )
         weight = np.ones(len(weight))
+    again = shown_again(observation.session, bad)
+    bad = tuple(replace(b, action=SHOWN_AGAIN) if set(b.rows) <= again else b for b in bad)
     bad = tuple(replace(b, action=LASTING) if set(b.rows) & set(lasting) else b for b in bad)
     bad = (*bad, *_from_nowhere(observation, bad))
     out = np.isin(observation.rows, [r for b in bad if b.is_left_out for r in b.rows])

@@ -106,6 +106,10 @@ class OutlierThresholds(Thresholds):
         150.0, "robust standard deviations", "the same for rows that moved together",
         "chosen: a station that was bumped is an effect of the catalogue",
     )  # fmt: skip
+    shown_again: float = threshold(
+        0.4, "of the larger", "two readings of one load case of a pose, in two repeats, are moved differently at most",
+        "chosen: what bends them is bent by the rest of the model, too",
+    )  # fmt: skip
     worst_first: float = threshold(
         1e-4, "of the largest squared residual of a pose", "less waits for the next round", "what is far worse bends the fit",
     )  # fmt: skip

@@ -125,6 +125,40 @@ def test_kilonewtons_in_one_row_are_named(loaded):
     assert bad.kind == "force" and "kN for N" in bad.sentence
 
 
+def twice(session: Session) -> Session:
+    """Each pose measured twice, with its own reference each time."""
+    n = len(session)
+    both = session.select(np.tile(np.arange(n), 2))
+    later = np.arange(2 * n) >= n
+    noise = np.random.default_rng(3).normal(0.0, 5e-6, (2 * n, 3))
+    return replace(
+        both, repeat=later.astype(np.int64), stamp=both.stamp + later * (np.ptp(session.stamp) + 60.0),
+        p_marker_in_station=both.p_marker_in_station + noise,
+    )  # fmt: skip
+
+
+def left_out(session: Session) -> set[int]:
+    return {r for b in treated(observe(session), default_terms(session)).bad if b.is_left_out for r in b.rows}
+
+
+def test_what_a_repeat_of_the_load_case_shows_again_is_no_accident(loaded):
+    n, session = len(loaded), twice(loaded)
+    once = moved(session, ROW, (1.2e-3, 0.0, -1.6e-3))
+    assert left_out(once) == {ROW}
+    again = moved(once, ROW + n, (1.0e-3, 0.2e-3, -1.5e-3))
+    seen = treated(observe(again), default_terms(again))
+    assert left_out(again) == set()
+    assert [str(b).partition("; kept: ")[2] for b in seen.bad] == 2 * [
+        "another measurement of the same pose and load case shows it again, so that it is no accident"
+    ]
+
+
+def test_two_accidents_in_one_load_case_that_have_nothing_in_common_are_left_out(loaded):
+    n = len(loaded)
+    session = moved(moved(twice(loaded), ROW, (1.2e-3, 0.0, -1.6e-3)), ROW + n, (-1.2e-3, 0.0, 1.6e-3))
+    assert left_out(session) == {ROW, ROW + n}
+
+
 def test_heavy_tails_of_a_loaded_session_are_neither_wrong_nor_weighted():
     session = synthetic.session(seed=1)
     rng = np.random.default_rng(0)
