@@ -171,7 +171,7 @@ class _Course:
 
     def __init__(self, scene: Scene, fraction: float, spread: float, freed: float, arrived: float) -> None:
         r = np.concatenate(thresholds(fraction, spread)) * rated_torque(scene.robot)
-        self._order = scene.rows.in_time
+        self._order, self._stands = scene.rows.stands
         self.torque = scene.tau_acting + scene.tau_gravity
         travel, first = travel_to_reference(scene), (scene.previous < 0)[self._order]
         u = self.torque[self._order]
@@ -184,8 +184,7 @@ class _Course:
         low, high = u[:, None] - r, u[:, None] + r
         at = clipped_in_turn(keep[:, None], offset, low, high)
         inside = np.abs(at - u[:, None]) < (1.0 - ROUNDING) * r
-        self._keep, self._inside, self.played = keep, inside, np.empty_like(at)
-        self.played[self._order] = at
+        self._keep, self._inside, self.played = keep, inside, at[self._stands]
 
     def by_torque(self, change: Array) -> Array:
         """Change of `played` where the torque changes by each of p parameters: (n, k, p) -> (n, 3 or 5, k, p)."""
@@ -200,9 +199,7 @@ class _Course:
             out[step:] += kept[step:] * out[:-step]
             kept = np.concatenate([np.zeros_like(kept[:step]), kept[step:] * kept[:-step]])
             step *= 2
-        moved = np.empty_like(out)
-        moved[self._order] = out
-        return moved
+        return np.asarray(out[self._stands])
 
 
 class _Friction(ColumnLaw):

@@ -53,6 +53,17 @@ class Rows:
         return np.lexsort((self.load_case, self.stamp))
 
     @cached_property
+    def stands(self) -> tuple[IntArray, IntArray]:
+        """The first row of each time that the robot stands, one after the other, and in which of these each row was read: several
+        markers are read while it stands."""
+        order = self.in_time
+        where = np.stack([self.pose, self.repeat, self.load_case], axis=1)[order]
+        begins = np.concatenate([np.ones(min(len(order), 1), dtype=bool), (where[1:] != where[:-1]).any(axis=1)])
+        which = np.empty(len(order), dtype=np.int64)
+        which[order] = np.cumsum(begins) - 1
+        return order[begins], which
+
+    @cached_property
     def short_dwell(self) -> float:
         """Time under the load that all rows but one in twenty exceed, of those that were read some time after it came, s; 0 where
         there are none."""
@@ -117,12 +128,15 @@ class View:
         moves_with_arm: False for a marker on base_link, (n,).
         sags: share of what its own weight bends the arm by on the way from the reference that is seen too: by who measures a
             loaded session, not in what the process force causes.
+        measured: all that differs between a row and its reference is asked for, as who measures sees it; False: only what forces
+            cause that are others than at the reference, on the arm as it stands.
     """
 
     arm: Arm
     p_observed: Array
     moves_with_arm: BoolArray
     sags: float = 0.0
+    measured: bool = False
 
     @cached_property
     def kept(self) -> dict[str, Any]:

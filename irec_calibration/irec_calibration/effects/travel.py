@@ -10,13 +10,14 @@ from .scene import Scene
 
 
 def travel_to_reference(scene: Scene) -> Array:
-    """Joint motion from the pose before to the reference of each pose, in its reference row, (n, k), rad; 0 elsewhere."""
-    out = np.zeros_like(scene.q)
-    order = scene.rows.in_time
-    before, now = order[:-1], order[1:]
-    arrives = scene.load_case[now] == 0
-    out[now[arrives]] = scene.q[now[arrives]] - scene.q[before[arrives]]
-    return out
+    """Joint motion from the pose before to the reference of each pose, in its reference rows, (n, k), rad; 0 elsewhere.
+
+    While several markers are read the robot stands: each of them has the motion before.
+    """
+    first, stands = scene.rows.stands
+    travel = np.diff(scene.q[first], axis=0, prepend=scene.q[first[:1]])
+    travel[scene.load_case[first] != 0] = 0.0
+    return np.asarray(travel[stands])
 
 
 def clipped_in_turn(a: Array | float, b: Array | float, low: Array, high: Array) -> Array:
