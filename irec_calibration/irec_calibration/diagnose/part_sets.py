@@ -54,8 +54,7 @@ class PartSets:
         places = {of.group: of.best(self.ground) for of in places_of(rest, effect)}
         self._of_place = {group: log_prior for group, (_, log_prior) in places.items()}
         found = {name: v for place, _ in places.values() for name, v in place.items()}
-        known = [fitted] if found.keys() <= fitted.keys() else []
-        shapes = [s for values in (*known, fitted | found) for s in _shapes(rest, effect, values)]
+        shapes = [s for values in (found | fitted, fitted | found) for s in _shapes(rest, effect, values)]
         self.tables = [(s, *block_columns(rest, effect, s)) for s in ({tuple(s.items()): s for s in shapes}).values()]
         self._reduced = self.ground.reduced_tables([block for _, block, _ in self.tables])
         self._shows = [np.linalg.norm(block.A, axis=0) > SMALLEST_COLUMN for _, block, _ in self.tables]

@@ -89,6 +89,27 @@ class Places:
         return self._columns(shape), Block(A, np.full(n, -1.0), np.full(n, 1.0), np.full(n, WIDTH))
 
 
+def place_beside(study: Study, effect: Effect, values: dict[str, float]) -> dict[str, float]:
+    """Shape values of groups with a place that are better than those of a fitted model, moved from these; empty where none are.
+
+    Args:
+        study: the fitted model; values: estimates of the effect in it.
+    """
+    better: dict[str, float] = {}
+    own = {p.name: p for p in effect.parameters(study.ready)}
+    for group in dict.fromkeys(p.shapes for p in own.values() if p.shapes and p.name in values):
+        at = {n: v for n, v in values.items() if own[n].shapes == group}
+        mine = {p.name for p in own.values() if p.group == group}
+        rest = [
+            i for i, (o, p) in enumerate(zip(study.owners, study.parameters, strict=True)) if o != effect.id or p.name not in mine
+        ]
+        if len(rest) == len(study.owners):
+            continue
+        place = Places(study, effect, group, (at,), (_of_group(study, effect, group, at),))
+        better |= place.best(Ground(study.bench, study.base.take(rest)))[0]
+    return {n: v for n, v in better.items() if v != values[n]}
+
+
 def places_of(study: Study, effect: Effect) -> tuple[Places, ...]:
     """Each group of an effect that has a place of its own."""
     own = effect.parameters(study.ready)
@@ -106,4 +127,5 @@ def _of_group(study: Study, effect: Effect, group: str, shape: dict[str, float])
 
 
 def _spacing(p: Parameter) -> float:
-    return float(np.diff(sorted(p.grid)).mean())
+    """Between places of the grid; the scale of a parameter that is tried at one place first."""
+    return float(np.diff(sorted(p.grid)).mean()) if len(p.grid) > 1 else p.scale

@@ -15,6 +15,7 @@ from ..model import Estimate, Term
 from .candidates import Trial, block_at
 from .columns import block_columns
 from .ground import Ground
+from .places import place_beside
 from .study import Study, study_of
 
 ROUNDS = 4  # of searches for all shape values of an effect, one after the other
@@ -51,7 +52,10 @@ def refit(study: Study, trial: Trial) -> Study | None:
             fitted.append(study_of(study.observation, (*terms, Term(variant.effect, values))))
         except SolveError:
             continue
-    return max(fitted, key=lambda s: s.bench.posterior(s.base).log_evidence, default=None)
+    best = max(fitted, key=lambda s: s.bench.posterior(s.base).log_evidence, default=None)
+    # where something is tied was found beside springs that it was missing in
+    placed = best is not None and any(p.shapes and p.name in shape for p in variant.effect.parameters(study.ready))
+    return reshaped(best, (variant.effect.id,)) if best is not None and placed else best
 
 
 def estimate_at(p: Parameter, value: float) -> Estimate:
@@ -135,9 +139,9 @@ def _moved_shape(study: Study, term: Term) -> dict[str, float]:
     ground = Ground(study.bench, study.base.take([i for i, owner in enumerate(study.owners) if owner != term.effect.id]))
     block, names = study.base.take(mine), {study.parameters[i].name for i in mine}
     values = {p.name: term.estimates[p.name].value for p in own}
-    better: dict[str, float] = {}
+    better = place_beside(study, term.effect, values)
     for p in own:
-        if not _is_continuous(p):
+        if not _is_continuous(p) or p.shapes:
             continue
 
         def loss(v: float, name: str = p.name) -> float:

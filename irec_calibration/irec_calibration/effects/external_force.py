@@ -10,19 +10,30 @@ import numpy as np
 
 from ..typing import Array
 from .base import Effect, Parameter
-from .hoses import drawn, forearm, has_pack, to_place, turning, turning_in_tool, wrenches, wrist_centre
+from .hoses import (
+    AT_FLANGE,
+    AXES,
+    FOREARM,
+    PLACE,
+    TAUT,
+    drawn,
+    forearm,
+    has_pack,
+    of_place,
+    of_taut_hose,
+    taut,
+    to_place,
+    turning,
+    turning_in_tool,
+    wrenches,
+    wrist_centre,
+)
 from .live import LiveForm, Pull, Tick
 from .scales import typical_reach
 from .scene import Scene
 from .state import ElasticResponse, Load
 from .traits import Family
 
-AXES = ("x", "y", "z")
-FOREARM = ("along", "a", "b")  # along the axis of the joint that moves the forearm, and along its two virtual axes
-PLACE = "with one tension towards a place"  # as a spring balancer pulls, a hose that is drawn in, or one that hangs
-PLACES = (-0.5, 0.0, 0.5)  # of the reach in each direction, about a place half of it above base_link
-FARTHEST = 1.0  # likewise; from farther away a pull is as good as constant
-AT_FLANGE = 0.15  # m from the TCP; about where a head carries its hoses
 # standard errors, and share of it, up to which a force has no component across gravity
 ACROSS, ACROSS_SHARE = 3.0, 0.1
 USUAL_MASS = 0.1  # of arm and payload: masses of robot descriptions are known so well
@@ -39,7 +50,8 @@ class ExternalForce(Effect):
         "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
         "wrist axis, or with the first where it comes from the cell; along axes of tool0, turning with a wrist axis, where it is "
         "fixed to a link of the wrist; between forearm and flange, where a dress pack that is fixed to both pulls them together "
-        "and bends the wrist alone; and a torque, since it does not pull at the TCP. "
+        "and bends the wrist alone, with a constant force, or always, as a hose that is slack up to its length: then the joint "
+        "angles of reference and load case make the difference; and a torque, since it does not pull at the TCP. "
         "Missing, the residual is there whatever the process force and depends on the pose only. In a loaded session a force "
         "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload, or "
         "at the wrist a forearm, of another mass."
@@ -81,7 +93,8 @@ class ExternalForce(Effect):
                 for a in AXES
             ),
             *(pull(f"f_{d}_pack", "between forearm and flange") for d in FOREARM if has_pack(scene)),
-            *(_towards_a_place(scene) if scene.kind == "loaded" else ()),
+            *(of_place(scene) if scene.kind == "loaded" else ()),
+            *(of_taut_hose(scene) if has_pack(scene) else ()),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
@@ -94,8 +107,10 @@ class ExternalForce(Effect):
             return np.zeros((len(scene), 3, len(self.parameters(scene))))
         on_arm, pack = wrenches(scene)
         of_pack = np.zeros((len(scene), 3, pack.shape[2])) if scene.elastic.of_wrist is None else scene.elastic.of_wrist @ pack
-        by_place = scene.elastic.compliance @ to_place(scene, theta[on_arm.shape[2] + pack.shape[2] :])
-        return np.concatenate([scene.elastic.compliance @ on_arm, of_pack, by_place], axis=2)
+        place, hose = _shaped(theta, on_arm.shape[2] + pack.shape[2], scene)
+        by_place, by_hose = scene.elastic.compliance @ to_place(scene, place), taut(scene, hose)
+        by_hose = np.zeros((len(scene), 3, len(hose))) if scene.elastic.of_wrist is None else scene.elastic.of_wrist @ by_hose
+        return np.concatenate([scene.elastic.compliance @ on_arm, of_pack, by_place, by_hose], axis=2)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         found = _weight_of_another_mass(values, scene)
@@ -119,6 +134,8 @@ class ExternalForce(Effect):
 
     def where_to_look(self, values: Mapping[str, float], proven: Sequence[str]) -> str:
         look = "in base_link; look what hangs or is fixed there"
+        if TAUT in proven:  # how long it is can't be told from where it is tied
+            return "a hose between forearm and flange comes tight in some poses; look how it is laid"
         constant, k = np.array([values.get(f"f_{a}", 0.0) for a in AXES]), values.get("k", 0.0)
         at = [values[f"h_{a}"] for a in AXES if f"h_{a}" in values]
         if PLACE in proven and len(at) < len(AXES):
@@ -135,6 +152,9 @@ class ExternalForce(Effect):
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
         on_arm, pack = _by_values(scene, theta)
+        _, hose = _shaped(theta, 0, scene)
+        if hose[:1].any():
+            pack = pack + taut(scene, hose)[:, :, 0] * hose[0]
         out: Array = np.einsum("nij...,nj->ni...", change.compliance, on_arm)
         if change.of_wrist is not None:
             out += np.einsum("nij...,nj->ni...", change.of_wrist, pack)
@@ -177,30 +197,21 @@ def _weight_of_another_mass(values: Mapping[str, tuple[float, float]], scene: Sc
 
 
 def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
-    """Wrench in tool0 by values of all parameters, (n, 6), on the arm, and between forearm and flange."""
+    """Wrench in tool0 by values of all parameters but those of a hose that always pulls, (n, 6), on the arm, and between forearm
+    and flange."""
     on_arm, pack = wrenches(scene)
     of_arm, end = on_arm.shape[2], on_arm.shape[2] + pack.shape[2]
-    tension = theta[end : end + 2]
-    out = on_arm @ theta[:of_arm]
-    if tension.any():
-        out += to_place(scene, theta[end:])[:, :, :2] @ tension
-    return out, pack @ theta[of_arm:end]
+    place, _ = _shaped(theta, end, scene)
+    out, on_flange = on_arm @ theta[:of_arm], pack @ theta[of_arm:end]
+    if place[:2].any():
+        out += to_place(scene, place)[:, :, :2] @ place[:2]
+    return out, on_flange
 
 
-def _towards_a_place(scene: Scene) -> tuple[Parameter, ...]:
-    """Tensions at the TCP and at the wrist, and the place that both go towards."""
-    reach, weight = typical_reach(scene), float(np.linalg.norm(scene.gravity_in_base))
-    above = -0.5 * reach * scene.gravity_in_base / weight if weight else np.array([0.0, 0.0, 0.5 * reach])
-    return (
-        *(Parameter(n, "N", 20.0, 0.0, plausible=(0.0, 1000.0), group=PLACE) for n in ("t", "t_wrist")),
-        *(
-            Parameter(
-                f"h_{a}", "m", reach, float(c) - FARTHEST * reach, float(c) + FARTHEST * reach, start=float(c),
-                grid=tuple(float(c) + reach * p for p in PLACES), group=PLACE, shapes=PLACE,
-            )
-            for a, c in zip(AXES, above, strict=True)
-        ),
-    )  # fmt: skip
+def _shaped(theta: Array, first: int, scene: Scene) -> tuple[Array, Array]:
+    """Values of the pull towards a place, (5,), and of a hose between forearm and flange, (8,), or none of them, (0,)."""
+    end = len(theta) - (8 if has_pack(scene) else 0)
+    return theta[first:end], theta[end:]
 
 
 class _Pull(Pull):
@@ -214,7 +225,8 @@ class _Pull(Pull):
         last = end + 10 + 6 * len(self._turning_in_tool)
         pack = last + 3 * has_pack(scene)
         self._by_angle_in_tool, self._pack = theta[end + 10 : last].reshape(-1, 3), theta[last:pack]
-        towards = theta[pack:] if pack < len(theta) else np.zeros(5)
+        towards, _ = _shaped(theta, pack, scene)  # a hose that always pulls does so without the process too
+        towards = towards if len(towards) else np.zeros(5)
         self._tension, self._tension_wrist, self._place = float(towards[0]), float(towards[1]), towards[2:]
         self._has_forearm = bool(self._by_forearm.any())
         self._has_wrist = bool(self._at_wrist.any() or self._k_wrist or self._tension_wrist)

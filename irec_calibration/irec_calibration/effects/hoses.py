@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What hoses do to an arm: the wrench in tool0 of each form of a pull that no sensor reads."""
+"""What hoses do to an arm: the wrench in tool0 of each form of a pull that no sensor reads, and the parameters of those that are
+tied somewhere."""
 
 from __future__ import annotations
 
@@ -8,8 +9,20 @@ import math
 import numpy as np
 
 from ..typing import Array
+from .base import Parameter
+from .scales import typical_reach
 from .scene import Scene
 
+AXES = ("x", "y", "z")
+FOREARM = ("along", "a", "b")  # along the axis of the joint that moves the forearm, and along its two virtual axes
+PLACE = "with one tension towards a place"  # as a spring balancer pulls, a hose that is drawn in, or one that hangs
+PLACES = (-0.5, 0.0, 0.5)  # of the reach in each direction, about a place half of it above base_link
+FARTHEST = 1.0  # likewise; from farther away a pull is as good as constant
+TAUT = "of a hose between forearm and flange"  # tied to both, slack where it is longer than the way
+LENGTHS = (0.1, 0.4, 0.7)  # shares of poses in which such a hose is slack
+ASIDE = (-0.2, 0.0, 0.2)  # of the forearm, by which it is tied beside the elbow
+AT_FLANGE = 0.15  # m from the TCP; about where a head carries its hoses
+TIGHTENS = 0.02  # m, travel over which a hose that sags comes tight
 NEAREST = 0.05  # m; nearer to its place than that a pull has no direction
 
 
@@ -28,8 +41,7 @@ def _wrenches_anew(scene: Scene) -> tuple[Array, Array]:
     in_tool = np.swapaxes(scene.kin.R_tool, 1, 2)  # of each unit force in base_link
     none, unit = np.zeros_like(in_tool), np.tile(np.eye(3), (len(scene), 1, 1))
     by_wrist = [in_tool * t(scene.q[:, k])[:, None, None] for k in turning(scene) for t in (np.sin, np.cos)]
-    k = forearm(scene)
-    frame = np.concatenate([scene.kin.axis[:, k, :, None], np.swapaxes(scene.kin.virtual_axis[:, k], 1, 2)], axis=2)
+    frame = forearm_frame(scene)
     p_wrist = scene.kin.origin[:, wrist_centre(scene)]
 
     def at(point: Array) -> Array:
@@ -70,6 +82,43 @@ def to_place(scene: Scene, theta: Array) -> Array:
     return out * scene.rows.under_load[:, None, None]
 
 
+def taut(scene: Scene, theta: Array) -> Array:
+    """Wrench in tool0 on the flange of a hose that is tied to it and to the forearm, by each of its parameters, (n, 6, 8).
+
+    It pulls in each row by k (way - l) where its ends are farther apart than it is long, and hardly where it is slack. What the
+    process causes (`View.measured` is False) is what the pull has changed by since the reference.
+
+    Args:
+        theta: (k_hose, l_hose, tied_along, tied_a, tied_b, tied_x, tied_y, tied_z), or empty: (n, 6, 0) then.
+    """
+    if not len(theta):
+        return np.zeros((len(scene), 6, 0))
+    (k, slack), in_forearm, in_tool0 = theta[:2], theta[2:5], theta[5:8]
+    frame, R_tool = forearm_frame(scene), scene.kin.R_tool
+    way = scene.kin.origin[:, forearm(scene)] + frame @ in_forearm - scene.p_tcp - R_tool @ in_tool0
+    length = np.maximum(np.linalg.norm(way, axis=1), NEAREST)
+    along, longer, tight = way / length[:, None], *(f[:, None, None] for f in stretched(length - slack))
+    onto, longer = along[:, :, None] * along[:, None, :], longer[:, 0]
+    by_way = k * (tight * onto + (longer / length[:, None])[:, :, None] * (np.eye(3) - onto))
+    by_slack = -k * along[:, :, None] * tight
+    force = np.concatenate([(longer * along)[:, :, None], by_slack, by_way @ frame, -by_way @ R_tool], axis=2)
+    pull = k * longer * along
+    if not scene.view.measured:
+        force, pull = scene.change(force), scene.change(pull)
+    at = R_tool @ in_tool0  # from the TCP
+    moment = np.swapaxes(np.cross(at[:, None], np.swapaxes(force, 1, 2)), 1, 2)
+    moment[:, :, 5:] += np.swapaxes(np.cross(np.swapaxes(R_tool, 1, 2), pull[:, None]), 1, 2)
+    back = np.swapaxes(R_tool, 1, 2)
+    return np.concatenate([back @ force, back @ moment], axis=1)
+
+
+def stretched(longer: Array) -> tuple[Array, Array]:
+    """How far a hose is stretched whose ends are by so much farther apart than it is long, m, and the derivative: it sags, and
+    comes tight over some travel."""
+    root = np.sqrt(longer**2 + TIGHTENS**2)
+    return 0.5 * (longer + root), 0.5 * (1.0 + longer / root)
+
+
 def drawn(tension: float, place: Array, point: Array) -> Array:
     """Force of one tension on a point that is drawn towards a place, (3,), N."""
     way = place - point
@@ -99,7 +148,50 @@ def forearm(scene: Scene) -> int:
     return max(scene.wrist[0] - 1, 0)
 
 
+def forearm_frame(scene: Scene) -> Array:
+    """The axis of the joint that moves the forearm and its two virtual axes, as columns in base_link, (n, 3, 3)."""
+    k = forearm(scene)
+    return np.concatenate([scene.kin.axis[:, k, :, None], np.swapaxes(scene.kin.virtual_axis[:, k], 1, 2)], axis=2)
+
+
 def wrist_centre(scene: Scene) -> int:
     """The joint whose origin is where the axes of a wrist meet."""
     wrist = scene.wrist
     return wrist[len(wrist) // 2]
+
+
+def of_taut_hose(scene: Scene) -> tuple[Parameter, ...]:
+    """Stiffness of a hose that is tied to forearm and flange, its length, and where it is tied."""
+    frame, origin = forearm_frame(scene)[0], scene.kin.origin[0]
+    forearm_m = max(float(np.linalg.norm(origin[wrist_centre(scene)] - origin[forearm(scene)])), AT_FLANGE)
+    at_tool0 = np.round(0.5 * scene.kin.R_tool[0].T @ (origin[-1] - scene.p_tcp[0]), 3) + 0.0
+    way = scene.kin.origin[:, forearm(scene)] - scene.p_tcp - scene.kin.R_tool @ at_tool0
+    lengths = np.quantile(np.linalg.norm(way, axis=1), LENGTHS)
+    towards_wrist = int(np.argmax(np.abs(frame.T @ (origin[wrist_centre(scene)] - origin[forearm(scene)]))))
+    grid = {d: (0.0,) if i == towards_wrist else tuple(forearm_m * s for s in ASIDE) for i, d in enumerate(FOREARM)}
+
+    def shape(name: str, scale: float, low: float, high: float, at: tuple[float, ...]) -> Parameter:
+        return Parameter(name, "m", scale, low, high, start=at[len(at) // 2], grid=at, group=TAUT, shapes=TAUT)
+
+    return (
+        Parameter("k_hose", "N/m", 1000.0, 0.0, plausible=(0.0, 50000.0), group=TAUT),
+        shape("l_hose", AT_FLANGE, 0.0, 3.0 * typical_reach(scene), tuple(float(v) for v in lengths)),
+        *(shape(f"tied_{d}", 2.0 * ASIDE[2] * forearm_m, -forearm_m, forearm_m, grid[d]) for d in FOREARM),
+        *(shape(f"tied_{a}", AT_FLANGE, c - 0.5, c + 0.5, (c,)) for a, c in zip(AXES, at_tool0.tolist(), strict=True)),
+    )
+
+
+def of_place(scene: Scene) -> tuple[Parameter, ...]:
+    """Tensions at the TCP and at the wrist, and the place that both go towards."""
+    reach, weight = typical_reach(scene), float(np.linalg.norm(scene.gravity_in_base))
+    above = -0.5 * reach * scene.gravity_in_base / weight if weight else np.array([0.0, 0.0, 0.5 * reach])
+    return (
+        *(Parameter(n, "N", 20.0, 0.0, plausible=(0.0, 1000.0), group=PLACE) for n in ("t", "t_wrist")),
+        *(
+            Parameter(
+                f"h_{a}", "m", reach, float(c) - FARTHEST * reach, float(c) + FARTHEST * reach, start=float(c),
+                grid=tuple(float(c) + reach * p for p in PLACES), group=PLACE, shapes=PLACE,
+            )
+            for a, c in zip(AXES, above, strict=True)
+        ),
+    )  # fmt: skip

@@ -60,6 +60,7 @@ def scene_of(session: Session, *, observe: str = "marker") -> Scene:
             arm, p_observed, on_tool if observe == "marker" else np.ones(n, dtype=bool),
             # where the contact stands in for the tracker the arm stays where it touches, however far it is commanded
             sags=float(observe == "marker" and session.kind == "loaded" and session.contact is None),
+            measured=observe == "marker",
         ),
         load=Load(arm, session.force_in_tool, session.torque_in_tool),
         gravity=Gravity(

@@ -297,7 +297,7 @@ class Scene:
 
     def seen_at(self, p_observed: Array) -> Scene:
         """With another observed point, (n, 3), m, on the same link."""
-        return replace(self, view=View(self.arm, p_observed, self.moves_with_arm, self.view.sags))
+        return replace(self, view=View(self.arm, p_observed, self.moves_with_arm, self.view.sags, self.view.measured))
 
     def carrying(self, payload: Payload) -> Scene:
         """With another payload, whose weight loads the axes."""
@@ -313,7 +313,7 @@ class Scene:
             kept = replace(
                 self,
                 rows=replace(self.rows, kind="absolute"),
-                view=View(self.arm, self.p_observed, self.moves_with_arm),
+                view=View(self.arm, self.p_observed, self.moves_with_arm, measured=self.view.measured),
                 load=Load(self.arm, nothing, nothing),
                 elastic=None,
                 tau_unseen=None,
@@ -325,7 +325,7 @@ class Scene:
         """With the arm elsewhere; the wrench in tool0 stays."""
         return replace(
             self,
-            view=View(arm, p_observed, self.moves_with_arm, self.view.sags),
+            view=View(arm, p_observed, self.moves_with_arm, self.view.sags, self.view.measured),
             load=Load(arm, self.force_in_tool, self.torque_in_tool),
             gravity=Gravity(arm, self.gravity_in_base, tau_gravity, self.gravity.payload, self.gravity.branches),
         )

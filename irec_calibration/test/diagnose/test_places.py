@@ -19,7 +19,7 @@ from irec_calibration.diagnose.places import Places, places_of
 from irec_calibration.diagnose.priors import FACTORS
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.effects import find_effect
-from irec_calibration.effects.external_force import PLACE
+from irec_calibration.effects.hoses import PLACE
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from irec_calibration.model import Estimate, Term, total_displacement
@@ -43,8 +43,7 @@ def study() -> Study:
 
 
 def of_hose(at: Study) -> Places:
-    (found,) = places_of(at, find_effect("external_force"))
-    return found
+    return next(p for p in places_of(at, find_effect("external_force")) if p.group == PLACE)
 
 
 @cache
