@@ -61,8 +61,8 @@ def mm(metres: float) -> str:
 def shown_again(session: Session, bad: Sequence[BadRow]) -> set[int]:
     """Rows of a loaded session that jump as they do in another repeat of their pose and load case.
 
-    A repeat has its own reference and its own contact: nothing is knocked twice by the same. What bends one load case of one pose,
-    such as a joint between links that opens there, is an effect.
+    A repeat has its own reference and its own contact: nothing is knocked twice by the same. What bends one load case of a pose,
+    such as a flange that gapes there, is an effect.
     """
     if session.kind != "loaded":
         return set()
