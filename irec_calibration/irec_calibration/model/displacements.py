@@ -81,12 +81,15 @@ def loaded(terms: Sequence[Term], scene: Scene) -> list[Term]:
     return [less(term) if term.effect.elastic else term for term in terms]
 
 
-def elastic_response(terms: Sequence[Term], scene: Scene, mover: Effect | None = None) -> ElasticResponse:
+def elastic_response(
+    terms: Sequence[Term], scene: Scene, mover: Effect | None = None, which: Sequence[int] | None = None
+) -> ElasticResponse:
     """How the springs among the terms answer (they are linear in the wrench, and in where they are seen), those of loaded axes:
     what creeps or gives way to a hose is a gear whose teeth carry.
 
     Args:
         mover: an effect that `moves_joints`, if it is asked what springs do by its parameters.
+        which: by which of these; None: by all.
     """
     n = len(scene)
     u, rotation, compliance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 6))
@@ -100,7 +103,7 @@ def elastic_response(terms: Sequence[Term], scene: Scene, mover: Effect | None =
         u, rotation, compliance = u + one.displacement, rotation + one.rotation, compliance + one.compliance
         if of_wrist is not None and one.of_wrist is not None:
             of_wrist = of_wrist + one.of_wrist
-        more = None if mover is None else by_geometry(term.effect, theta, scene, mover)
+        more = None if mover is None else by_geometry(term.effect, theta, scene, mover, which)
         turned += [] if more is None else [more]
     return ElasticResponse(u, rotation, compliance, np.sum(turned, axis=0) if turned else None, of_wrist)
 
@@ -114,7 +117,10 @@ def prepared(terms: Sequence[Term], scene: Scene) -> Scene:
     """The scene as the effects of a model see it: wrench corrected, what pulls unseen and elastic response attached."""
     scene = apply_wrench_effects(terms, scene)
     if any(follows_springs(t.effect, scene) for t in terms):
-        scene = scene.loaded_otherwise(elastic=elastic_response(terms, scene, mover_of((t.effect for t in terms), scene)))
+        mover = mover_of((t.effect for t in terms), scene)
+        known = next((t.estimates for t in terms if t.effect is mover), {})  # none: all parameters, as before a first fit
+        which = [i for i, p in enumerate(parameters_of(mover, scene)) if p.name in known] if mover and known else None
+        scene = scene.loaded_otherwise(elastic=elastic_response(terms, scene, mover, which))
     return with_pull(terms, scene)
 
 

@@ -4,7 +4,7 @@ other wrench: where the force sensor is in doubt, a fit asks for it thousands of
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 from typing import NamedTuple
@@ -97,15 +97,18 @@ def by_parameters(effect: Effect, theta: Array, scene: Scene, columns: Array, mo
     return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), by_wrench, turned, of_wrist)
 
 
-def by_geometry(effect: Effect, theta: Array, scene: Scene, mover: Effect) -> Array | None:
+def by_geometry(effect: Effect, theta: Array, scene: Scene, mover: Effect, which: Sequence[int] | None = None) -> Array | None:
     """Derivative of the displacement by a spring by the parameters of an effect that moves the joints, (n, 3, g); None where it
     is not asked: for a spring that is not kept, or that only completes the form of another (some per cent of some per cent).
 
     Springs turn about lines that lie elsewhere then, and the force that is known in tool0 has another direction.
+
+    Args:
+        which: of these parameters; zeros for the others. None: all of them.
     """
     if not is_kept(effect, scene) or effect.completes:
         return None
-    return _at(_by_geometry(effect, scene, mover).under(scene), theta)
+    return _by_geometry(effect, scene, mover).at(theta, scene, which)
 
 
 def answer_of(effect: Effect, theta: Array, scene: Scene) -> Answer:
@@ -129,21 +132,40 @@ def _kept(effect: Effect, theta: Array, scene: Scene) -> _Kept:
 @dataclass(frozen=True)
 class _Turned:
     """What each unit of the wrench does through a spring, by where the joints are and by the spring's parameters,
-    (n, 3, 6, g, p), with what it was computed for; `pressed`: under the wrench it was last asked for, (n, 3, g, p)."""
+    (g, n, 3, 6, p), with what it was computed for; `pressed`: under the wrench it was last asked for, (n, 3, g, p); `values`: at
+    the values of the parameters it was last asked for, and for some of where the joints are, (g, n, 3, 6)."""
 
     effect: Effect
     mover: Effect
     rows: Rows
     columns: Array
     pressed: dict[bytes, Array]
+    values: dict[bytes, Array]
+
+    def at(self, theta: Array, scene: Scene, which: Sequence[int] | None = None) -> Array:
+        """At values of the spring's parameters, under a scene's wrench, (n, 3, g): a fit asks for many values under one wrench,
+        and the derivative by the parameters of a force sensor for many wrenches at the same values."""
+        wrench = _wrench(scene)
+        pressed = self.pressed.get(wrench.tobytes())
+        if pressed is not None:
+            return _at(pressed, theta)
+        g, n = self.columns.shape[:2]
+        asked = list(range(g) if which is None else which)
+        key = theta.tobytes() + bytes(asked)
+        if key not in self.values:
+            self.values.clear()
+            self.values[key] = np.array([_at(self.columns[i], theta) for i in asked]).reshape(len(asked), n, 3, 6)
+        out = np.zeros((n, 3, g))
+        out[:, :, asked] = np.einsum("gnik,nk->nig", self.values[key], wrench)
+        return out
 
     def under(self, scene: Scene) -> Array:
-        """Under a scene's wrench, (n, 3, g, p): a fit asks for many values of the parameters under one wrench."""
+        """Under a scene's wrench, (n, 3, g, p)."""
         wrench = _wrench(scene)
         key = wrench.tobytes()
         if key not in self.pressed:
             self.pressed.clear()
-            self.pressed[key] = np.einsum("nikgp,nk->nigp", self.columns, wrench)
+            self.pressed[key] = np.einsum("gnikp,nk->nigp", self.columns, wrench)
         return self.pressed[key]
 
 
@@ -155,11 +177,11 @@ def _by_geometry(effect: Effect, scene: Scene, mover: Effect) -> _Turned:
     zero = np.zeros(len(parameters_of(effect, scene)))
     count = len(parameters_of(mover, scene))
     here = _kept(effect, zero, scene).columns.by_wrench[:, :, 0]
-    columns = np.empty((len(scene), 3, 6, count, len(zero)))
+    columns = np.empty((count, len(scene), 3, 6, len(zero)))
     for g, step in enumerate(np.eye(count) * STEP):
         there = mover.standing(scene, step)
-        columns[:, :, :, g] = (_by_unit(lambda s: effect.regressor(s, zero), there) - here) / STEP
-    known = scene.view.kept[name] = _Turned(effect, mover, scene.rows, columns, {})
+        columns[g] = (_by_unit(lambda s: effect.regressor(s, zero), there) - here) / STEP
+    known = scene.view.kept[name] = _Turned(effect, mover, scene.rows, columns, {}, {})
     return known
 
 
