@@ -11,6 +11,9 @@ from .scene import Scene
 from .traits import Cause, Family
 from .travel import travel_to_reference
 
+OVER = (0.5, 1.5, 1000.0)  # rad; the last: in proportion to any travel
+LARGE = 300.0  # of which cosh is still a number
+
 
 class JointSettling(Effect):
     id = "joint_settling"
@@ -18,8 +21,9 @@ class JointSettling(Effect):
     physics = (
         "The controller's joint angle was read while the arm was still creeping into place: J_k a_k times the step of "
         "joint k since the previous row; a > 0: the arm was further along the step than reported. With travel 1 the "
-        "reference of a loaded session was read too early as well, after the travel from the pose before. Missing, the "
-        "residual is proportional to the step just made, not to its sign: it imitates backlash."
+        "reference of a loaded session was read too early as well, after the travel from the pose before; what is left of a "
+        "long one grows no further: over tanh(step / over). Missing, the residual is proportional to the step just made, "
+        "not to its sign: it imitates backlash."
     )
     family = Family.ANGLE_ERROR
     cause = Cause.MOTION
@@ -33,18 +37,34 @@ class JointSettling(Effect):
             )
             for k in np.flatnonzero(scene.driven)
         )
-        return (*axes, Parameter("travel", "0 or 1", 1.0, 0.0, 1.0, start=1.0, grid=(0.0, 1.0))) if loaded else axes
+        if not loaded:
+            return axes
+        shortest, *_, longest = OVER
+        return (
+            *axes,
+            Parameter("travel", "0 or 1", 1.0, 0.0, 1.0, start=1.0, grid=(0.0, 1.0)),
+            Parameter("over", "rad", 1.0, 0.5 * shortest, longest, start=longest, grid=OVER),
+        )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         return self._columns(scene, theta) @ theta[: int(scene.driven.sum())]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        columns = self._columns(scene, theta)
-        by_travel = np.zeros((len(scene), 3, len(theta) - columns.shape[2]))
-        return np.concatenate([columns, by_travel], axis=2)
+        columns, driven = self._columns(scene, theta), int(scene.driven.sum())
+        if scene.kind != "loaded":
+            return columns
+        x = _step(scene, theta) / theta[-1]
+        by_over = (scene.J * (np.tanh(x) - x / np.cosh(np.minimum(np.abs(x), LARGE)) ** 2)[:, None, :])[:, :, scene.driven]
+        return np.concatenate([columns, np.zeros((len(scene), 3, 1)), (by_over @ theta[:driven])[:, :, None]], axis=2)
 
     def _columns(self, scene: Scene, theta: Array) -> Array:
-        step = scene.step
-        if scene.kind == "loaded" and theta[-1] >= 0.5:
-            step = step + travel_to_reference(scene)
+        step = _step(scene, theta)
+        if scene.kind == "loaded":
+            step = theta[-1] * np.tanh(step / theta[-1])
         return (scene.J * step[:, None, :])[:, :, scene.driven]
+
+
+def _step(scene: Scene, theta: Array) -> Array:
+    """Motion just before each row, (n, k), rad."""
+    read_early = scene.kind == "loaded" and theta[-2] >= 0.5
+    return scene.step + travel_to_reference(scene) if read_early else scene.step

@@ -40,10 +40,22 @@ def test_each_marker_of_a_reference_has_the_motion_from_the_pose_before(apart_s:
 def test_what_gears_keep_of_the_motion_before_is_the_same_whichever_marker_sees_it(effect_id: str) -> None:
     one, many, rows = with_markers(1.0)
     effect = find_effect(effect_id)
-    values = {"a_2": 0.01, "travel": 1.0, "h_2": 1e-4, "r": 0.05, "arrived": 1.0, "freed": 2.0}
+    values = {"a_2": 0.01, "travel": 1.0, "over": 1.5, "h_2": 1e-4, "r": 0.05, "arrived": 1.0, "freed": 2.0}
     values |= {"b_2": 1e-4, "w": 0.05, "held": 1.0}
     theta = np.array([values.get(p.name, 0.0) for p in effect.parameters(one)])
     at_tcp = (scene.seen_at(scene.p_tcp) for scene in (one, many))
     moved = [scene.change(effect.displacement(scene, theta)) for scene in at_tcp]
     assert np.abs(moved[0]).max() > 1e-7, "no example"
     np.testing.assert_allclose(moved[1], moved[0][rows], atol=1e-9 * np.abs(moved[0]).max())
+
+
+@pytest.mark.parametrize("over", [1000.0, 0.2])
+def test_what_is_left_of_a_long_travel_grows_no_further_than_its_range(over: float) -> None:
+    scene = with_markers(0.0)[0]
+    travel = travel_to_reference(scene)[:, 1]
+    longest = int(np.abs(travel).argmax())
+    assert abs(travel[longest]) > 0.4, "no example"
+    effect = find_effect("joint_settling")
+    theta = np.array([{"a_2": 0.01, "travel": 1.0, "over": over}.get(p.name, 0.0) for p in effect.parameters(scene)])
+    left = 0.01 * (travel[longest] if over > 10.0 else 0.2 * np.tanh(travel[longest] / 0.2))
+    np.testing.assert_allclose(effect.displacement(scene, theta)[longest], left * scene.J[longest, :, 1], rtol=1e-5)
