@@ -13,15 +13,17 @@ from .scene import Scene
 from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
+SLOWER = 5.0  # times as long as what warms up first takes what does so beside it
 
 
 class ThermalDrift(Effect):
     id = "thermal_drift"
     label = "thermal drift"
     physics = (
-        "Links and tracker stand grow while the cell warms up: v T (1 - exp(-t/T)), which is v t for a long T, or in "
-        "proportion to a logged temperature; in absolute sessions the arm grows from base_link outwards too. Missing, the "
-        "residual grows with the time since the reference and is blind to force."
+        "Links and tracker stand grow while the cell warms up: v T (1 - exp(-t/T)), which is v t for a long T, beside it what "
+        "takes five times as long, w in place of v, where longer is 1, or in proportion to a logged temperature; in absolute "
+        "sessions the arm grows from base_link outwards too. Missing, the residual grows with the time since the reference and "
+        "is blind to force."
     )
     family = Family.TIME
     cause = Cause.TIME
@@ -33,7 +35,12 @@ class ThermalDrift(Effect):
             # a thermometer may go through a small part of what the drifting part does: then the drift has a limit, not the value
             most = max(LARGEST_PER_KELVIN, LARGEST / max(float(np.ptp(scene.temperature[name])), 1e-3))
             out += _of_driver(scene, f"k_{name}", "K", STEEL, most, f"temp_{name}")
-        return (*out, Parameter("T", "s", 1000.0, 10.0, 1e6, start=STEADY, grid=(300.0, 1000.0, 3000.0, STEADY)))
+        out += [Parameter(f"w_{a}", "m/s", 1e-6, plausible=(-1e-4, 1e-4), group="time") for a in AXES]
+        return (
+            *out,
+            Parameter("longer", "0 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 1.0), kinds=True),
+            Parameter("T", "s", 1000.0, 10.0, 1e6, start=STEADY, grid=(300.0, 1000.0, 3000.0, STEADY)),
+        )
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         by_warmth = any(n.startswith("k_") for n in values)  # beside it, how fast a drift in time ends says little
@@ -43,17 +50,32 @@ class ThermalDrift(Effect):
         return f"it would be over within minutes (T = {T:.0f} s), and what grows warm takes longer ({QUICKEST:.0f} s at least)"
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        return self._columns(scene, theta[-1]) @ theta[:-1]
+        return self._columns(scene, theta) @ theta[:-2]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        share, ways = scene.stamp / theta[-1], _ways(scene)
-        by_T = (-np.expm1(-share) - share * np.exp(-share))[:, None] * (ways @ theta[: ways.shape[2]])
-        return np.concatenate([self._columns(scene, theta[-1]), by_T[:, :, None]], axis=2)
+        ways = _ways(scene)
+        by_T = _by_constant(scene, theta[-1])[:, None] * (ways @ theta[: ways.shape[2]])
+        if theta[-2] >= 0.5:
+            by_T += SLOWER * _by_constant(scene, SLOWER * theta[-1])[:, None] * theta[-5:-2]
+        by_shape = [np.zeros((len(scene), 3, 1)), by_T[:, :, None]]
+        return np.concatenate([self._columns(scene, theta), *by_shape], axis=2)
 
-    def _columns(self, scene: Scene, T: float) -> Array:
-        course = -T * np.expm1(-scene.stamp / T)
-        drivers = [course] + [scene.temperature[n] - REFERENCE_TEMPERATURE for n in usable_temperatures(scene)]
-        return np.concatenate([d[:, None, None] * _ways(scene) for d in drivers], axis=2)
+    def _columns(self, scene: Scene, theta: Array) -> Array:
+        longer, T = theta[-2:]
+        drivers = [_course(scene, T)] + [scene.temperature[n] - REFERENCE_TEMPERATURE for n in usable_temperatures(scene)]
+        beside = _course(scene, SLOWER * T)[:, None, None] * np.eye(3) * (longer >= 0.5)
+        return np.concatenate([*(d[:, None, None] * _ways(scene) for d in drivers), beside], axis=2)
+
+
+def _course(scene: Scene, T: float) -> Array:
+    """What grows at a rate of one at first and ends after T, (n,), s."""
+    return np.asarray(-T * np.expm1(-scene.stamp / T))
+
+
+def _by_constant(scene: Scene, T: float) -> Array:
+    """Its derivative by T, (n,)."""
+    share = scene.stamp / T
+    return np.asarray(-np.expm1(-share) - share * np.exp(-share))
 
 
 def _of_driver(scene: Scene, name: str, per: str, scale: float, most: float, group: str) -> list[Parameter]:

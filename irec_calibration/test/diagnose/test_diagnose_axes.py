@@ -186,7 +186,7 @@ def test_an_axis_with_a_hundredth_of_the_effect_is_in_the_model_but_not_named() 
     last = improve(lagging).rungs[-1]
     said = last.parts["joint_settling"]
     assert (said.proven, said.perhaps) == (("axis 1",), ("axis 5",))
-    assert set(last.model.terms[-1].estimates) == {"a_1", "a_5", "travel"}
+    assert set(last.model.terms[-1].estimates) == {"a_1", "a_5", "travel", "over"}
     assert "Perhaps also axis 5" in diagnosis(axis_1_lags_and_axis_5_a_little).verdict.text
 
 

@@ -64,3 +64,25 @@ def test_an_arm_that_grows_with_time_is_told_from_a_stand_that_moves(stand: bool
     assert found.effects == ("thermal_drift",), found.text
     assert found.parts["thermal_drift"].proven == (("time",) if stand else ("time of the arm",))
     assert found.remaining_m == 0.0
+
+
+def test_a_cell_that_warms_up_in_two_ways_has_a_time_constant_beside_a_shorter_one() -> None:
+    still = session()
+    scene = scene_of(replace(still, stamp=np.linspace(0.0, 12000.0, len(still)), temperature={}))
+    stand, hall = np.array([-1.1e-3, 0.3e-3, 1.0e-3]), np.array([-1.5e-3, -0.6e-3, -3.7e-3])
+    quick, slow = (-np.expm1(-scene.stamp / T)[:, None] * by for T, by in ((900.0, stand), (8000.0, hall)))
+    seen = scene.change(quick + slow).ravel()
+    effect = find_effect("thermal_drift")
+    names = [p.name for p in effect.parameters(scene)]
+
+    def left(own: tuple[str, ...]) -> float:
+        """Share that is left at the best T."""
+        out = []
+        for T in (300.0, 1000.0, 3000.0, 1e5):
+            columns = effect.regressor(scene, np.concatenate([np.zeros(len(names) - 2), [1.0, T]]))
+            X = scene.change(columns)[:, :, [i for i, n in enumerate(names) if n[0] in own]].reshape(len(seen), -1)
+            out.append(np.linalg.norm(seen - X @ np.linalg.lstsq(X, seen, rcond=None)[0]) / np.linalg.norm(seen))
+        return float(min(out))
+
+    assert left(("v",)) > 0.25, "no example"
+    assert left(("v", "w")) < 0.13
