@@ -14,6 +14,7 @@ from .hoses import (
     AT_FLANGE,
     AXES,
     FOREARM,
+    OF_HOSE,
     PLACE,
     TAUT,
     drawn,
@@ -210,7 +211,7 @@ def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
 
 def _shaped(theta: Array, first: int, scene: Scene) -> tuple[Array, Array]:
     """Values of the pull towards a place, (5,), and of a hose between forearm and flange, (8,), or none of them, (0,)."""
-    end = len(theta) - (8 if has_pack(scene) else 0)
+    end = len(theta) - OF_HOSE * has_pack(scene)
     return theta[first:end], theta[end:]
 
 

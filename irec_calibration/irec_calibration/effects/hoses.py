@@ -19,6 +19,7 @@ PLACE = "with one tension towards a place"  # as a spring balancer pulls, a hose
 PLACES = (-0.5, 0.0, 0.5)  # of the reach in each direction, about a place half of it above base_link
 FARTHEST = 1.0  # likewise; from farther away a pull is as good as constant
 TAUT = "of a hose between forearm and flange"  # tied to both, slack where it is longer than the way
+OF_HOSE = 8  # parameters of it, the last ones
 LENGTHS = (0.1, 0.4, 0.7)  # shares of poses in which such a hose is slack
 ASIDE = (-0.2, 0.0, 0.2)  # of the forearm, by which it is tied beside the elbow
 AT_FLANGE = 0.15  # m from the TCP; about where a head carries its hoses
