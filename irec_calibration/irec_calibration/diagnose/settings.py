@@ -335,6 +335,10 @@ class Settings(Thresholds):
         3.0, "nats", "structures this close to the strongest one name what a residual depends on too", "odds of 20",
     )  # fmt: skip
     most_depended_on: int = threshold(4, "variables", "that a residual is said to depend on", "more help nobody to find a cause")
+    forms_of_cause: int = threshold(
+        6, "parts", "that are no axes, with more of which an effect of a loaded session is left out where none is proven",
+        "chosen: what was no hose had each of 15",
+    )  # fmt: skip
     parameters_of_pose: int = threshold(
         3, "parameters", "for each pose of a loaded session, with more of which an effect without a proven part is left out",
         "they describe any displacement that a pose has by itself",

@@ -44,7 +44,26 @@ def test_more_parameters_than_three_for_each_pose_are_a_guess_where_no_part_is_p
 ) -> None:
     pruned = SimpleNamespace(study=built(after).final.study, parts={"external_force": parts})
     monkeypatch.setattr(guessed, "prune", lambda *_, **__: pruned)
+    monkeypatch.setattr(guessed, "_forms", lambda *_: 2)
     assert list(guessed.guessed(built(before, kind))) == (["external_force"] if guess else [])
+
+
+@pytest.mark.parametrize(
+    ("parts", "forms", "guess"),
+    [
+        (Parts(perhaps=("constant", "with the tool")), 15, True),
+        (Parts(perhaps=("constant", "with the tool")), 6, False),
+        (Parts(proven=("constant",), perhaps=("with the tool",)), 15, False),
+        (Parts(one_of=(("constant",), ("with the tool",))), 15, False),
+    ],
+)
+def test_a_cause_with_each_of_its_forms_at_once_is_a_guess_where_none_is_proven(
+    monkeypatch: pytest.MonkeyPatch, parts: Parts, forms: int, guess: bool
+) -> None:
+    pruned = SimpleNamespace(study=built(20).final.study, parts={"external_force": parts})
+    monkeypatch.setattr(guessed, "prune", lambda *_, **__: pruned)
+    monkeypatch.setattr(guessed, "_forms", lambda *_: forms)
+    assert list(guessed.guessed(built(20))) == (["external_force"] if guess else [])
 
 
 def test_a_session_is_weighed_again_without_a_guess(monkeypatch: pytest.MonkeyPatch) -> None:
