@@ -183,7 +183,10 @@ def test_secondary_encoders_leave_the_structure_to_the_model_and_less_error(afp:
     assert controllers[1].told()["findings"] == 0
 
 
-@pytest.mark.parametrize(("name", "disc", "least"), [("afp", None, 80.0), ("machining", calibrated.DISC, 80.0)])
+@pytest.mark.parametrize(
+    ("name", "disc", "least"),
+    [("afp", None, 80.0), pytest.param("machining", calibrated.DISC, 80.0, marks=pytest.mark.long)],
+)
 def test_a_session_in_which_no_tracker_is_read_corrects_nearly_as_well(
     name: str, disc: tuple[float, float] | None, least: float, request: pytest.FixtureRequest
 ) -> None:

@@ -185,7 +185,7 @@ def missed(cell: Cell, model: Model, stage: Fir | object, seed: int = 9) -> floa
     return float(rest.std())
 
 
-@pytest.mark.parametrize("answer", ["swept", "delay"])
+@pytest.mark.parametrize("answer", [pytest.param("swept", marks=pytest.mark.long), "delay"])
 def test_the_table_is_a_filter_that_misses_less_on_another_course(
     answer: str, cell: Cell, model: Model, bags: dict[str, list[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -94,6 +94,7 @@ def test_a_step_that_several_reflectors_show_lasts_as_one_reflectors_does() -> N
     assert set(rows) <= set(prepare(lasting, start_terms(lasting)).observation.rows)
 
 
+@pytest.mark.long
 def test_a_station_that_is_bumped_between_a_reference_and_its_load_cases_is_named_wherever_it_stands() -> None:
     quiet = measured()
     reference = quiet.stamp[(quiet.pose == POSE) & (quiet.load_case == 0)].max()

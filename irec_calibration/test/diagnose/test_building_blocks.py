@@ -103,6 +103,7 @@ def test_wherever_the_station_stands_a_bump_shows_in_later_readings_and_a_knocke
     assert lasts(knocked, shift(STEP)) < 0.0
 
 
+@pytest.mark.long
 def test_poses_that_were_measured_twice_tell_of_a_step_where_robots_are_less_accurate_than_it_is_large() -> None:
     """Every pose is a millimetre beside where the controller believes it, the same each time."""
     q = np.random.default_rng(11).uniform(*synthetic.JOINTS, (12, 6))

@@ -196,7 +196,7 @@ def test_a_small_cause_is_named_beside_a_much_larger_one() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("times", [0.5, 2.0])
+@pytest.mark.parametrize("times", [pytest.param(0.5, marks=pytest.mark.long), 2.0])
 def test_noise_that_is_stated_wrongly_changes_no_verdict_and_is_said(times: float) -> None:
     for hidden, status in ((None, "adequate"), (play_of_axis_4, "missing_effect")):
         found = diagnose(claiming(session(hidden), times))
@@ -223,6 +223,7 @@ def test_a_gear_whose_stiffness_goes_with_its_angle_is_no_counterbalance() -> No
     assert "joint_2" in verdict.depends_on
 
 
+@pytest.mark.long
 def test_a_session_of_which_a_fifth_stands_out_is_not_adequate() -> None:
     clean = session()
     rng = np.random.default_rng(3)

@@ -102,7 +102,7 @@ def ladder() -> Ladder:
     ("hidden", "effect", "axes"),
     [
         (axis_3_stiffens, "joint_stiffening", ("axis 3",)),
-        (axes_1_and_5_stiffen, "joint_stiffening", ("axis 1", "axis 5")),
+        pytest.param(axes_1_and_5_stiffen, "joint_stiffening", ("axis 1", "axis 5"), marks=pytest.mark.long),
         pytest.param(play_in_axes_1_and_4, "joint_backlash", ("axis 1", "axis 4"), marks=pytest.mark.long),
     ],
 )

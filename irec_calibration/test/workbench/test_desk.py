@@ -193,6 +193,7 @@ def test_the_ladder_answers_for_a_group(desk):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_two_rooms_share_a_diagnosis_of_the_same_model_on_the_same_data(hidden_session, tmp_path):
     async def story():
         shared = Shared(Stock(most=1))
