@@ -37,30 +37,23 @@ class JointSettling(Effect):
             )
             for k in np.flatnonzero(scene.driven)
         )
-        if not loaded:
-            return axes
         shortest, *_, longest = OVER
-        return (
-            *axes,
-            Parameter("travel", "0 or 1", 1.0, 0.0, 1.0, start=1.0, grid=(0.0, 1.0)),
-            Parameter("over", "rad", 1.0, 0.5 * shortest, longest, start=longest, grid=OVER),
-        )
+        travel = Parameter("travel", "0 or 1", 1.0, 0.0, 1.0, start=1.0, grid=(0.0, 1.0))
+        over = Parameter("over", "rad", 1.0, 0.5 * shortest, longest, start=longest, grid=OVER)
+        return (*axes, travel, over) if loaded else (*axes, over)
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         return self._columns(scene, theta) @ theta[: int(scene.driven.sum())]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         columns, driven = self._columns(scene, theta), int(scene.driven.sum())
-        if scene.kind != "loaded":
-            return columns
         x = _step(scene, theta) / theta[-1]
         by_over = (scene.J * (np.tanh(x) - x / np.cosh(np.minimum(np.abs(x), LARGE)) ** 2)[:, None, :])[:, :, scene.driven]
-        return np.concatenate([columns, np.zeros((len(scene), 3, 1)), (by_over @ theta[:driven])[:, :, None]], axis=2)
+        by_travel = np.zeros((len(scene), 3, len(theta) - driven - 1))
+        return np.concatenate([columns, by_travel, (by_over @ theta[:driven])[:, :, None]], axis=2)
 
     def _columns(self, scene: Scene, theta: Array) -> Array:
-        step = _step(scene, theta)
-        if scene.kind == "loaded":
-            step = theta[-1] * np.tanh(step / theta[-1])
+        step = theta[-1] * np.tanh(_step(scene, theta) / theta[-1])
         return (scene.J * step[:, None, :])[:, :, scene.driven]
 
 
