@@ -18,7 +18,7 @@ pytest.importorskip("irec_msgs", reason="irec_msgs is not built: run `make test`
 if TYPE_CHECKING:
     Start = Callable[..., subprocess.Popen[bytes]]
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.paced]
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.alone]
 CELL = Path(__file__).parents[3] / "config" / "cells" / "afp.yaml"
 LONGEST = 280.0  # s of the machine's clock
 
