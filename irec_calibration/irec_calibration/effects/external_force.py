@@ -29,7 +29,7 @@ from .hoses import (
     wrenches,
     wrist_centre,
 )
-from .live import LiveForm, Pull, Tick
+from .live import LeftOut, LiveForm, Pull, Tick
 from .scales import typical_reach
 from .scene import Scene
 from .state import ElasticResponse, Load
@@ -166,6 +166,9 @@ class ExternalForce(Effect):
         return np.asarray(on_arm + pack * (np.arange(scene.n_joints) >= scene.wrist[0]))
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
+        forces = [v for p, v in zip(self.parameters(scene), theta, strict=True) if not p.grid and p.group != TAUT]
+        if has_pack(scene) and theta[-OF_HOSE] and not any(forces):
+            return LeftOut("is a hose that pulls without the process too, and goes with the joint angles alone")
         return _Pull(theta, scene)
 
 

@@ -13,7 +13,10 @@ from irec_calibration.diagnose import again, guessed, start_terms
 from irec_calibration.diagnose.build import build
 from irec_calibration.diagnose.part_sets import Parts
 from irec_calibration.diagnose.study import prepare
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
+from irec_calibration.model import Estimate, Term
 from numpy.typing import NDArray
 
 POSES = 10
@@ -64,6 +67,19 @@ def test_a_cause_with_each_of_its_forms_at_once_is_a_guess_where_none_is_proven(
     monkeypatch.setattr(guessed, "prune", lambda *_, **__: pruned)
     monkeypatch.setattr(guessed, "_forms", lambda *_: forms)
     assert list(guessed.guessed(built(20))) == (["external_force"] if guess else [])
+
+
+@pytest.mark.parametrize(
+    ("effect_id", "names", "forms"),
+    [
+        ("external_force", ("f_x", "f_y", "f_x_tool", "k"), 3),
+        ("joint_backlash", ("b_1", "b_4"), 0),  # axes
+    ],
+)
+def test_parts_that_are_axes_are_no_forms(effect_id: str, names: tuple[str, ...], forms: int) -> None:
+    term = Term(find_effect(effect_id), {n: Estimate(1.0) for n in names})
+    study: Any = SimpleNamespace(terms=(term,), ready=scene_of(synthetic.session(poses=3)))
+    assert guessed._forms(study, effect_id) == forms
 
 
 def test_a_session_is_weighed_again_without_a_guess(monkeypatch: pytest.MonkeyPatch) -> None:

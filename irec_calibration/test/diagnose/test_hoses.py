@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import diagnose, improve
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.hoses import TAUT, TIGHTENS, stretched
+from irec_calibration.effects.live import LeftOut, Pull
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from irec_calibration.model import Estimate, Term, total_displacement
@@ -135,6 +138,15 @@ def test_such_a_hose_is_named_and_predicts_poses_that_it_was_not_fitted_to() -> 
     assert verdict.effects == ("external_force",), verdict.text
     assert {*verdict.parts["external_force"].proven} <= {TAUT}, verdict.text
     assert ladder.rungs[-1].cv_rms_m < 0.4 * ladder.rungs[0].cv_rms_m
+
+
+def test_the_live_correction_leaves_such_a_hose_out_and_says_why() -> None:
+    scene = scene_of(synthetic.session(poses=6, **TILTED))
+    term = of_taut_hose(1.0)[-1]
+    form = term.effect.live(scene, term.theta(term.effect.parameters(scene)))
+    assert isinstance(form, LeftOut) and "without the process" in form.why
+    beside = replace(term, estimates=term.estimates | {"f_x": Estimate(10.0)})
+    assert isinstance(beside.effect.live(scene, beside.theta(beside.effect.parameters(scene))), Pull)
 
 
 def test_people_are_told_to_look_at_the_hose_where_it_is_proven() -> None:
