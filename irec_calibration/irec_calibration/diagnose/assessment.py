@@ -21,7 +21,7 @@ from .bad_readings import too_many_aside
 from .build import Built
 from .candidates import Trial
 from .evidence import Block
-from .explanation import Explanation, also_called, usual
+from .explanation import Explanation, also_called, cause_if_alone, usual
 from .family import Family
 from .flexible import Flexible, flexible_gain
 from .ground import Ground
@@ -167,12 +167,15 @@ def assess(
             one_of.append(tuple(n for _, n in sorted([(0.0, i), *((odds, r) for r, odds in rivals)])))
         else:
             names.append(i)
+    weight = readings is not None and readings.log_evidence > settings.nats_to_name
+    if not (names or one_of or weight):  # a session that shows a usual effect and nothing else is more than noise
+        names = [i for i in as_usual if cause_if_alone(final, i, noise.inferred_m)]
+        as_usual = [i for i in as_usual if i not in names]
     names.sort(key=lambda i: -built.evidence.get(i, 0.0))
     curve = of_one_curve(names, pruned.parts, final.ids) if study.ready.kind == "loaded" else ()
     if curve:
         names = [i for i in names if i not in curve]
         one_of.append(curve)
-    weight = readings is not None and readings.log_evidence > settings.nats_to_name
     if names or weight:
         status = "missing_effect"
     else:

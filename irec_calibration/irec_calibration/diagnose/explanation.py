@@ -201,24 +201,48 @@ def usual(one: Explanation, effect_id: str) -> bool:
     effect = term.effect
     if study.ready.kind not in effect.usual_in:
         return False
+    moved, whole = _moved(one)
+    own = moved.get(effect_id, np.zeros_like(study.observation.y))
+    # a share that few readings show is known roughly: by one in as many as its displacement has standard deviations of noise
+    surely = max(1.0 - 1.0 / sqrt(max(float((study.observation.whiten(own) ** 2).sum()), 1e-300)), 0.0)
+    values = {n: e.value for n, e in term.estimates.items() if SURELY * e.se <= abs(e.value) or not effect.usual_by_known}
+    share = sqrt(float((own**2).sum())) / whole
+    if effect.is_usual(values, surely * share, study.ready):
+        return True
+    if study.ready.kind != "loaded":
+        return False
+    # two of them that do what one cause does take it up from each other, and are seen together only
+    most = {t.effect.id: t.effect.usual_visible * whole for t in one.added if t.effect.usual_visible > 0.0}
+    small = [i for i, largest in most.items() if i in moved and _visible(one, [i], moved) <= largest]
+    return effect_id in small and _visible(one, small, moved) <= sum(most[i] for i in small)
+
+
+def cause_if_alone(one: Explanation, effect_id: str, noise: float) -> bool:
+    """Whether an effect that is as large as in every robot is the cause where a loaded session has no other: so much of it is
+    seen that the session shows more than noise.
+
+    Args:
+        noise: of a sample, as inferred, m.
+    """
+    moved, whole = _moved(one)
+    if one.study.ready.kind != "loaded" or effect_id not in moved:
+        return False
+    seen = _visible(one, [effect_id], moved)
+    least = SETTINGS.usual_beside_noise * noise * sqrt(len(one.study.observation.y))
+    return seen > max(one.term(effect_id).effect.usual_alone * whole, least)
+
+
+def _moved(one: Explanation) -> tuple[Mapping[str, Array], float]:
+    """What each effect moves, (m, 3), m, by id, and the root of the sum over readings of the square of what springs do, m.
+
+    As differences show it: a station that is turned moves what is read at a reference by centimetres.
+    """
+    study = one.study
     observation, scene = study.observation, study.observation.scene
-    # as differences show it: a station that is turned moves what is read at a reference by centimetres
     moved = {i: observation.of(d) for i, d in displacements(study.terms, scene, prepared(study.terms, scene)).items()}
     springs = {t.effect.id for t in study.terms if t.effect.elastic or scene.kind == "loaded"}
     whole = float((sum((u for i, u in moved.items() if i in springs), np.zeros_like(observation.y)) ** 2).sum())
-    own = moved.get(effect_id, np.zeros_like(observation.y))
-    # a share that few readings show is known roughly: by one in as many as its displacement has standard deviations of noise
-    surely = max(1.0 - 1.0 / sqrt(max(float((observation.whiten(own) ** 2).sum()), 1e-300)), 0.0)
-    values = {n: e.value for n, e in term.estimates.items() if SURELY * e.se <= abs(e.value) or not effect.usual_by_known}
-    share = sqrt(float((own**2).sum()) / max(whole, 1e-300))
-    if effect.is_usual(values, surely * share, study.ready):
-        return True
-    if scene.kind != "loaded":
-        return False
-    # two of them that do what one cause does take it up from each other, and are seen together only
-    most = {t.effect.id: t.effect.usual_visible * sqrt(whole) for t in one.added if t.effect.usual_visible > 0.0}
-    small = [i for i, largest in most.items() if i in moved and _visible(one, [i], moved) <= largest]
-    return effect_id in small and _visible(one, small, moved) <= sum(most[i] for i in small)
+    return moved, max(sqrt(whole), 1e-150)
 
 
 def also_called(term: Term, scene: Scene) -> str:

@@ -122,6 +122,7 @@ class Effect(ABC):
         usual_by_known: of values that the session does not know by itself that is not asked.
         usual_visible: share of the deflection, RMS, up to which it is as in every robot whatever its values, counted of what the
             rest of the model does not take up; in a loaded session.
+        usual_alone: share of that, from which it is a cause whatever its values where a loaded session has no other.
         beside: id of an effect that a robot which has this one has too: weighed beside that one first, and by itself only where
             that one does not come in.
         completes: id of an effect that every robot has and whose form it completes: never named as a cause, but weighed beside it
@@ -153,6 +154,7 @@ class Effect(ABC):
     usual_in: ClassVar[tuple[str, ...]] = ("loaded",)
     usual_by_known: ClassVar[bool] = False
     usual_visible: ClassVar[float] = 0.0
+    usual_alone: ClassVar[float] = np.inf
     beside: ClassVar[str] = ""
     completes: ClassVar[str] = ""
     compliance_of: ClassVar[Axes | None] = None

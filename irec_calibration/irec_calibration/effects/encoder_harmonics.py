@@ -16,6 +16,10 @@ from .traits import Cause, Family
 
 LARGEST = 1.5e-3  # rad; ten times the transmission error of sound gears (0.5 arcmin), beyond any eccentric disc that still counts
 UPRIGHT = 0.01  # of the rated torque, up to which the weight of the arm says nothing of the side on which play lies
+WELL_KNOWN = 10.0  # standard errors; what is known less well has no shape
+UNLIKE = 0.06  # share of a curve's square that no play has; chosen: harmonics fitted to play of any width had up to 0.05 in 19 of 20
+SIDES = np.linspace(-np.pi, np.pi, 73)[:-1]  # rad, angles at which an axis may cross its play
+WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # sine of the angle over which it does
 CANCEL = 8.0  # times what the curve of an axis deviates from its mean; harmonics so much larger take each other away
 
 
@@ -70,13 +74,19 @@ class EncoderHarmonics(Effect):
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         """Harmonics of axes that the weight does not turn may be play: which side they lie on, leaning a little, goes with their
-        angle as well."""
+        angle as well. Not where the curve of one of them has another shape than play."""
         if scene.kind != "absolute":
             return ""
-        size, error = (np.linalg.norm(v.reshape(-1, 4), axis=1) for v in (theta, se))
-        axes = np.flatnonzero(self._turning(scene))[size > SURELY * error]
+        waves, (by_axis, errors) = self._waves(scene), (v.reshape(-1, 4) for v in (theta, se))
+        size, error = np.linalg.norm(by_axis, axis=1), np.linalg.norm(errors, axis=1)
+        of_axes = np.flatnonzero(self._turning(scene))
         loaded = np.abs(scene.tau_gravity).max(axis=0) > UPRIGHT * rated_torque(scene.robot)
-        return "joint_backlash" if len(axes) and not loaded[axes].any() else ""
+        sure = size > SURELY * error
+        if not sure.any() or loaded[of_axes[sure]].any():
+            return ""
+        known = size > WELL_KNOWN * error
+        no_play = (_unlike_play(scene.q[:, of_axes[i]], waves[:, of_axes[i]] @ by_axis[i]) > UNLIKE for i in np.flatnonzero(known))
+        return "" if any(no_play) else "joint_backlash"
 
     def _waves(self, scene: Scene) -> Array:
         """sin q, cos q, sin 2q, cos 2q of each joint, (n, joints, 4)."""
@@ -85,3 +95,16 @@ class EncoderHarmonics(Effect):
     def _turning(self, scene: Scene) -> BoolArray:
         turning: BoolArray = scene.driven & ~scene.kin.is_prismatic
         return turning
+
+
+def _unlike_play(angle: Array, curve: Array) -> float:
+    """The least share of the square of a curve over a joint's angle that is left beside play, crossed anywhere, at once or slowly.
+
+    Args:
+        angle: of the joint, (n,), rad; curve: by which it is off, (n,), rad. What does not change is a zero of the joint.
+    """
+    off = curve - curve.mean()
+    sides = np.tanh(np.sin(angle[:, None, None] - SIDES[:, None]) / WIDTHS).reshape(len(angle), -1)
+    sides -= sides.mean(axis=0)
+    squares = np.maximum((sides**2).sum(axis=0), 1e-12)
+    return float(1.0 - ((sides.T @ off) ** 2 / squares).max() / max(float(off @ off), 1e-300))

@@ -39,6 +39,35 @@ def test_harmonics_of_an_axis_that_no_weight_turns_may_be_play(monkeypatch, firs
     assert called(monkeypatch, first, second, gravity) == expected
 
 
+@pytest.mark.parametrize(
+    ("second_harmonic", "expected"),
+    [
+        (0.0, "joint_backlash"),  # that of an axis that crosses its play slowly
+        (5e-5, "joint_backlash"),  # flattened, as an axis that crosses it faster
+        (-8e-5, ""),  # steepest where play is crossed the other way
+    ],
+)
+def test_harmonics_of_a_shape_that_play_does_not_have_are_those_of_an_encoder(monkeypatch, second_harmonic, expected) -> None:
+    monkeypatch.setattr(encoder_harmonics, "rated_torque", lambda _: np.array([1000.0, 1000.0]))
+    scene = arm(200.0)
+    scene.tau_gravity, scene.robot = np.zeros((1, 2)), None
+    assert EFFECT.also_called(scene, np.array([1e-4, 0.0, second_harmonic, 0.0, *[0.0] * 4]), np.full(8, 1e-6)) == expected
+
+
+@pytest.mark.parametrize("travel", [80.0, 200.0, 320.0])
+@pytest.mark.parametrize("width", [0.02, 0.3, 1.0])
+@pytest.mark.parametrize("side", [-0.4, 0.0, 0.3])
+def test_harmonics_that_were_fitted_to_play_may_be_play(monkeypatch, travel, width, side) -> None:
+    monkeypatch.setattr(encoder_harmonics, "rated_torque", lambda _: np.array([1000.0, 1000.0]))
+    scene = arm(travel)
+    scene.tau_gravity, scene.robot = np.zeros((1, 2)), None
+    angle = scene.q[:, 0]
+    play = 1e-4 * np.tanh(np.sin(angle - side) / width)
+    waves = np.stack([np.sin(angle), np.cos(angle), np.sin(2 * angle), np.cos(2 * angle), np.ones_like(angle)], axis=1)
+    fitted = np.linalg.solve(waves.T @ waves + 1e-6 * np.eye(5), waves.T @ play)[:4]
+    assert EFFECT.also_called(scene, np.array([*fitted, *[0.0] * 4]), np.full(8, 1e-7)) == "joint_backlash"
+
+
 def arm(travel: float) -> Any:
     """A scene of two axes, each of which is used over a travel in degrees."""
     q = np.radians(travel) * np.linspace(-0.5, 0.5, 40)[:, None] * np.ones(2)
