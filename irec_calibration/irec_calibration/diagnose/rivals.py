@@ -142,6 +142,8 @@ def rivals_of(
             more = 0.0 if in_one_pose(one, other) else stays
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final) + more
             raw = min(odds, by_themselves - by_rival + more)
+            if other == term.effect.special_of and raw > -settings.nats_to_prefer:
+                continue
             # an arm that tilts or bends gives way in its gears too: without these it is named only where they explain far less
             beside = settings.share_beside if other == term.effect.beside else 0.0
             share = (settings.share_of_form if by_step else settings.share_between_laws) if law else beside

@@ -125,6 +125,8 @@ class Effect(ABC):
         usual_alone: share of that, from which it is a cause whatever its values where a loaded session has no other.
         beside: id of an effect that a robot which has this one has too: weighed beside that one first, and by itself only where
             that one does not come in.
+        special_of: id of an effect that has this one's form with further parameters beside it: no rival of this one unless it
+            explains more.
         completes: id of an effect that every robot has and whose form it completes: never named as a cause, but weighed beside it
             in every diagnosis, so that what it does passes for no other.
         obsolete: patterns of parameter names that models of an earlier form had; such a model is refused, not misread.
@@ -156,6 +158,7 @@ class Effect(ABC):
     usual_visible: ClassVar[float] = 0.0
     usual_alone: ClassVar[float] = np.inf
     beside: ClassVar[str] = ""
+    special_of: ClassVar[str] = ""
     completes: ClassVar[str] = ""
     compliance_of: ClassVar[Axes | None] = None
     by_angle: ClassVar[bool] = False

@@ -11,7 +11,7 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .live import ColumnLaw, LeftOut, LiveForm, Tick
-from .scales import typical_compliance
+from .scales import SURELY, typical_compliance
 from .scene import Scene
 from .traits import Family
 
@@ -74,6 +74,11 @@ class Counterbalance(Effect):
             f"with it the compliance of axis {AXIS + 1} would be between {least:.3g} and {most:.3g} rad/(N m) within the session,"
             f" and a balancer takes at most {1.0 - LEAST_LEFT:.0%} of it"
         )
+
+    def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
+        """What it carries of the weight, by itself, is what an eccentric encoder of axis 2 does."""
+        varies = (np.abs(theta) > SURELY * se)[: len(NAMES)].any()
+        return "" if scene.kind != "absolute" or varies else "encoder_harmonics"
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Balancer(*theta[: len(NAMES)]) if len(theta) else LeftOut("has no axis to act on in this robot")

@@ -27,6 +27,7 @@ class MarkerOffset(Effect):
     needs_elastic = True
     needs = ("tracker",)
     in_readings = True
+    special_of = "geometry_error"  # a last link of another length, beside which that joint's axis may lie otherwise
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         if not all(scene.instruments.marker_known):  # an unknown marker is free already: marker_position

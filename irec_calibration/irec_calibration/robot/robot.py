@@ -185,6 +185,15 @@ class Robot:
         return np.array([self._model.inertias[j].mass for j in self._joints])
 
     @cached_property
+    def tool_mass(self) -> float:
+        """Mass of what is fixed to the link that the last joint moves, kg: of a tool, where the description has one. A link called
+        flange is the robot's."""
+        frames = self._model.frames
+        child = {f.parentFrame: f.name for f in frames if f.type == pin.FrameType.BODY}
+        fixed = [i for i, f in enumerate(frames) if f.type == pin.FrameType.FIXED_JOINT and f.parentJoint == self._joints[-1]]
+        return sum(float(frames[i].inertia.mass) for i in fixed if "flange" not in child.get(i, "").lower())
+
+    @cached_property
     def reach(self) -> float:
         """Length of the chain from base_link to tool0, with the stroke of joints that slide, m; it reaches no farther."""
         m = self._model

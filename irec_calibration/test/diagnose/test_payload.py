@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 import synthetic
-from irec_calibration.diagnose import Ladder, compare, improve
+from irec_calibration.diagnose import Ladder, compare, improve, payload
 from irec_calibration.diagnose.payload import with_payload_as_shown
 from irec_calibration.diagnose.study import completed_study, prepare
 from irec_calibration.effects.of_session import carrying, scene_of
@@ -60,9 +60,9 @@ def improved() -> Ladder:
 
 @pytest.mark.long
 def test_the_mass_of_a_tool_that_nobody_stated_is_found() -> None:
-    payload = shown().payload
-    about = np.linalg.norm(TOOL.com) / np.linalg.norm(payload.com)  # its moment is what shows
-    assert payload.mass == pytest.approx(about * TOOL.mass, rel=0.5)
+    found = shown().payload
+    about = np.linalg.norm(TOOL.com) / np.linalg.norm(found.com)  # its moment is what shows
+    assert found.mass == pytest.approx(about * TOOL.mass, rel=0.5)
     assert any("no payload is stated" in note and "which is taken: state it" in note for note in shown().notes)
 
 
@@ -73,6 +73,16 @@ def test_where_it_sits_is_found_too_since_narrow_play_asks_for_it() -> None:
     ladder = improve(synthetic.session(30, 3, extra=play(head, width=5e-4, over=5.0)))
     assert ladder.before.verdict.parts["joint_backlash"].proven == ("axis 4", "axis 5")
     assert ladder.model.figures["cv_rms_m"] < 1.3 * ladder.before.noise.claimed_m  # 2.9 with the mass alone
+
+
+@pytest.mark.parametrize(("mass", "sought"), [(60.0, False), (0.01, True)])  # a simulator asks for some mass of every link
+def test_none_is_sought_where_the_robot_description_has_the_tool(monkeypatch, mass, sought) -> None:
+    session = measured(False)
+    asked: list[object] = []
+    monkeypatch.setattr(payload, "_evidence", lambda *one: asked.append(one) or {})
+    monkeypatch.setattr(type(session.robot), "tool_mass", mass)
+    assert as_shown(session) is session
+    assert bool(asked) == sought
 
 
 def test_where_there_is_none_none_is_found() -> None:

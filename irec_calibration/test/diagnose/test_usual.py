@@ -12,7 +12,7 @@ import synthetic
 from irec_calibration.commands.improve import in_words
 from irec_calibration.diagnose import Ladder, assessment, diagnose, explanation, improve, start_terms
 from irec_calibration.diagnose.assessment import as_in_every_robot
-from irec_calibration.diagnose.explanation import Explanation, usual
+from irec_calibration.diagnose.explanation import Explanation, cause_if_alone, usual
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.improve import with_term
 from irec_calibration.diagnose.remainder import grow
@@ -163,6 +163,25 @@ def test_what_springs_of_links_take_up_is_usual_however_much_of_it_there_is(monk
     shown = np.sqrt((with_it.observation.of(total_displacement(with_it.terms, with_it.observation.scene)) ** 2).sum())
     monkeypatch.setattr(explanation, "_visible", lambda one, ids, moved: of_limit * effect.usual_visible * shown)
     assert usual(one, effect_id) == usual_
+
+
+@pytest.mark.parametrize(
+    ("of_deflection", "of_noise", "expected"),
+    [
+        (1.1, 1.1, True),
+        (0.9, 1.1, False),  # a good robot leaves as much
+        (1.1, 0.9, False),  # noise hides it
+    ],
+)
+def test_usual_links_are_a_cause_where_more_than_noise_is_seen_of_them(monkeypatch, of_deflection, of_noise, expected) -> None:
+    plain = study(lambda scene: np.zeros((len(scene), 3)))
+    links = Term(GEOMETRY, {"zero_2": Estimate(1e-4, unit="rad")})
+    with_it = study_of(plain.observation, (*plain.terms, links))
+    one = Explanation(with_it.terms[-1:], with_it, 0.0, grow(with_it.bench, family_of(with_it), with_it.base))
+    springs = with_it.observation.of(total_displacement(with_it.terms, with_it.observation.scene))
+    seen = of_deflection * GEOMETRY.usual_alone * rms(springs)
+    monkeypatch.setattr(explanation, "_visible", lambda one, ids, moved: seen * np.sqrt(len(springs)))
+    assert cause_if_alone(one, "geometry_error", seen / (of_noise * SETTINGS.usual_beside_noise)) == expected
 
 
 def goes_with_another_angle(scene: Scene) -> NDArray[np.float64]:

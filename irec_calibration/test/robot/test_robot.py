@@ -67,3 +67,13 @@ def test_payload_adds_its_weight_to_every_axis_below():
 def test_a_description_without_tool0_is_refused_by_name():
     with pytest.raises(RobotError, match="'tool0' is missing"):
         Robot(urdf().replace("tool0", "gripper"))
+
+
+INERTIAL = '<inertial><mass value="{}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+
+@pytest.mark.parametrize(("link", "mass", "tool"), [("tool0", 80.0, 80.0), ("tool0", 0.0, 0.0), ("flange", 10.0, 0.0)])
+def test_the_mass_of_a_tool_is_that_of_what_is_fixed_beyond_the_last_link(link, mass, tool) -> None:
+    """A flange is the robot's."""
+    described = urdf().replace(f'<link name="{link}"/>', f'<link name="{link}">{INERTIAL.format(mass)}</link>')
+    assert Robot(described).tool_mass == tool
