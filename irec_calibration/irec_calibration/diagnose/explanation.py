@@ -245,6 +245,14 @@ def _moved(one: Explanation) -> tuple[Mapping[str, Array], float]:
     return moved, max(sqrt(whole), 1e-150)
 
 
+def rather(one: Explanation, effect_id: str) -> str:
+    """Id of another effect that an added one is rather, where both explain alike (`Effect.rather`), or an empty string."""
+    axial = (t for t in one.study.terms if t.effect.compliance_of is Axes.ACTUATED)
+    compliance = {name: e.value for t in axial for name, e in t.estimates.items()}
+    term = one.term(effect_id)
+    return term.effect.rather({n: e.value for n, e in term.estimates.items()}, compliance, one.study.ready)
+
+
 def also_called(term: Term, scene: Scene) -> str:
     """Id of another effect that a fitted one may as well be called (`Effect.also_called`), or an empty string."""
     own = parameters_of(term.effect, scene)

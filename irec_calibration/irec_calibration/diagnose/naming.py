@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..effects.traits import Family as Alike
-from ..identification.validation import gain
+from ..identification.validation import HeldOut, gain
 from .explanation import (
     Explanation,
     implausible,
@@ -62,17 +62,29 @@ def why_not_by_itself(current: Explanation, one: Explanation, evidence: float, s
     beyond = implausible(one, effect_id)
     if beyond or in_one_pose(one, effect_id):
         return beyond
-    before, after = (only_good_poses(held_out(e.study), one.study, one.remainder) for e in (current, one))
-    mean, se, _ = gain(before, after)
-    # what few poses show helps on few: the evidence has to bring what the held-out error lacks, up to as much again as it needs
-    helped = min(mean / max(settings.held_out_sigmas * se, 1e-300), 1.0) if np.isfinite(mean) and mean > 0.0 else -np.inf
+    helped = _helped(current, one, settings)
+    if helped <= 0.0:  # while much has no name yet, poses may predict each other badly whatever is true: it is asked beside that
+        helped = _helped(current, one, settings, beside=True) - 1.0
     more = settings.nats_to_name * (1.0 - helped)
     return "it does not help on held-out poses" if evidence < needed(one, effect_id, settings) + more else ""
 
 
-def odds_of(
-    start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings
-) -> float:
+def _helped(current: Explanation, one: Explanation, settings: Settings, *, beside: bool = False) -> float:
+    """By how much the error on held-out poses falls, of what it has to, at most 1; without end below 0 where it does not.
+
+    Args:
+        beside: each model with its remainder.
+    """
+
+    def found(e: Explanation) -> HeldOut:
+        columns = range(e.study.base.A.shape[1], e.remainder.block.A.shape[1]) if beside else ()
+        return only_good_poses(held_out(e.study, e.remainder.block.take(list(columns))), one.study, one.remainder)
+
+    mean, se, _ = gain(found(current), found(one))
+    return min(mean / max(settings.held_out_sigmas * se, 1e-300), 1.0) if np.isfinite(mean) and mean > 0.0 else -np.inf
+
+
+def odds_of(start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings) -> float:
     """What is to be held against `needed`: the evidence of a name over a model without it, or over any nonparametric structure in
     its place, whichever falls shorter of what is asked of it.
 
@@ -198,9 +210,7 @@ def with_others_by_step(start: Explanation, one: Explanation, bare: Explanation,
     return min(with_all - absent, with_all - instead)
 
 
-def one_cause_of_bad_rows(
-    start: Explanation, bare: Explanation, one: Explanation, family: Family, settings: Settings
-) -> bool:
+def one_cause_of_bad_rows(start: Explanation, bare: Explanation, one: Explanation, family: Family, settings: Settings) -> bool:
     """Whether readings that stand out of a model follow one effect by far better than bad luck, at a size that can't be.
 
     Then they are not bad luck, and its form is not theirs.

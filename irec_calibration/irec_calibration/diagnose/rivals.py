@@ -14,6 +14,7 @@ from .explanation import (
     explain,
     implausible,
     in_one_pose,
+    rather,
     remainder_of,
     reshaped_again,
     shown_by_readings,
@@ -109,7 +110,7 @@ def rivals_of(
         sure = proved(rest, term.effect)
         # another effect leaves that pose to a bad reading, after which nothing has the step
         stays = lasts(final.study, term) if in_one_pose(final, term.effect.id) else 0.0
-        same = []
+        same, no_rival, own_kind = [], set[str](), rather(final, term.effect.id)
         for other, then in others.items():
             option = by_id[other].on(rest)
             if not option.tables:
@@ -149,13 +150,17 @@ def rivals_of(
             share = (settings.share_of_form if by_step else settings.share_between_laws) if law else beside
             counts = as_they_count(raw, by_themselves - by_none, share)
             # what has no name may tell them apart no better than they do themselves
+            if rather(one, other) == term.effect.id:
+                no_rival.add(other)
+                continue
             if odds < settings.nats_to_name or counts < settings.nats_over_rival:
                 same.append((other, counts))
                 models[term.effect.id, other] = InPlace(one, raw, by_themselves - by_none, share)
-                if raw < -settings.nats_to_separate and one.term(other).effect.beside != term.effect.id:
+                if (raw < -settings.nats_to_separate or other == own_kind) and one.term(other).effect.beside != term.effect.id:
                     likelier.append((raw, one, bare))
-        known = {i for i, _ in same}
+        known = {i for i, _ in same} | no_rival
         same += [one for one in out.get(term.effect.id, ()) if one[0] not in known]
+        out.pop(term.effect.id, None)
         if same:
             out[term.effect.id] = tuple(sorted(same, key=lambda t: t[1]))
     return Rivals(out, tuple((one, bare) for _, one, bare in sorted(likelier, key=lambda t: t[0])), models)

@@ -244,6 +244,14 @@ class Effect(ABC):
         """
         return ""
 
+    def rather(self, values: Mapping[str, float], compliance: Mapping[str, float], scene: Scene) -> str:
+        """Id of another effect that fitted values are rather than this one, where both explain alike; empty where there is none.
+
+        Args:
+            values: of each parameter that was fitted; compliance: of each axis, as of `why_impossible`.
+        """
+        return ""
+
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         """Whether an effect is no larger than in every robot: it is there then, and no cause that anybody has to look for.
 

@@ -17,7 +17,7 @@ from .traits import Cause, Family
 LARGEST = 1.5e-3  # rad; ten times the transmission error of sound gears (0.5 arcmin), beyond any eccentric disc that still counts
 UPRIGHT = 0.01  # of the rated torque, up to which the weight of the arm says nothing of the side on which play lies
 WELL_KNOWN = 10.0  # standard errors; what is known less well has no shape
-UNLIKE = 0.06  # share of a curve's square that no play has; chosen: harmonics fitted to play of any width had up to 0.05 in 19 of 20
+UNLIKE = 0.06  # of a curve's square, that no play has; chosen: harmonics fitted to play of any width had up to 0.05 in 19 of 20
 SIDES = np.linspace(-np.pi, np.pi, 73)[:-1]  # rad, angles at which an axis may cross its play
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # sine of the angle over which it does
 CANCEL = 8.0  # times what the curve of an axis deviates from its mean; harmonics so much larger take each other away
@@ -85,8 +85,8 @@ class EncoderHarmonics(Effect):
         if not sure.any() or loaded[of_axes[sure]].any():
             return ""
         known = size > WELL_KNOWN * error
-        no_play = (_unlike_play(scene.q[:, of_axes[i]], waves[:, of_axes[i]] @ by_axis[i]) > UNLIKE for i in np.flatnonzero(known))
-        return "" if any(no_play) else "joint_backlash"
+        curves = ((scene.q[:, of_axes[i]], waves[:, of_axes[i]] @ by_axis[i]) for i in np.flatnonzero(known))
+        return "" if any(_unlike_play(*curve) > UNLIKE for curve in curves) else "joint_backlash"
 
     def _waves(self, scene: Scene) -> Array:
         """sin q, cos q, sin 2q, cos 2q of each joint, (n, joints, 4)."""
@@ -98,7 +98,7 @@ class EncoderHarmonics(Effect):
 
 
 def _unlike_play(angle: Array, curve: Array) -> float:
-    """The least share of the square of a curve over a joint's angle that is left beside play, crossed anywhere, at once or slowly.
+    """The share of the square of a curve over a joint's angle that is left beside play, crossed anywhere, at once or slowly.
 
     Args:
         angle: of the joint, (n,), rad; curve: by which it is off, (n,), rad. What does not change is a zero of the joint.

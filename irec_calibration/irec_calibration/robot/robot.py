@@ -186,8 +186,10 @@ class Robot:
 
     @cached_property
     def tool_mass(self) -> float:
-        """Mass of what is fixed to the link that the last joint moves, kg: of a tool, where the description has one. A link called
-        flange is the robot's."""
+        """Mass of what is fixed to the link that the last joint moves, kg: of a tool, where the description has one.
+
+        A link called flange is the robot's.
+        """
         frames = self._model.frames
         child = {f.parentFrame: f.name for f in frames if f.type == pin.FrameType.BODY}
         fixed = [i for i, f in enumerate(frames) if f.type == pin.FrameType.FIXED_JOINT and f.parentJoint == self._joints[-1]]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from irec_calibration.diagnose import naming
 from irec_calibration.diagnose.forms import NO_FORMS, Forms
@@ -39,18 +40,31 @@ def test_a_step_in_one_pose_is_a_bad_reading_itself(monkeypatch: pytest.MonkeyPa
     assert not asked(monkeypatch, odds=99.0, rows=3, one_pose=True)
 
 
-def answer(monkeypatch: pytest.MonkeyPatch, odds: float, better_by: float) -> str:
-    """What a name is refused for whose evidence is `odds`, that lowers the held-out error by so many standard errors."""
+class Columns:
+    """So many columns of a linear problem."""
+
+    def __init__(self, count: int) -> None:
+        self.A = np.zeros((1, count))
+
+    def take(self, chosen: list[int]) -> list[int]:
+        return chosen
+
+
+def answer(monkeypatch: pytest.MonkeyPatch, odds: float, better_by: float, beside: float | None = None) -> str:
+    """What a name is refused for whose evidence is `odds`, that lowers the held-out error by so many standard errors; and by so
+    many beside what has no name, the same where none are given."""
     monkeypatch.setattr(naming, "odds_of", lambda *_: odds)
     monkeypatch.setattr(naming, "needed", lambda *_: SETTINGS.nats_to_name)
     monkeypatch.setattr(naming, "implausible", lambda *_: "")
     monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
-    monkeypatch.setattr(naming, "held_out", lambda *_: None)
-    monkeypatch.setattr(naming, "only_good_poses", lambda *_: None)
-    monkeypatch.setattr(naming, "gain", lambda *_: (better_by, 1.0, 0))
-    study = SimpleNamespace(bench=SimpleNamespace(poses=range(SETTINGS.fewest_poses)))
-    bare: Any = SimpleNamespace(study=study, remainder=SimpleNamespace(structures=()))
-    one: Any = SimpleNamespace(ids=("joint_backlash",), study=study, remainder=None)
+    found = {0: better_by, 2: better_by if beside is None else beside}  # by the columns that are held out beside the model
+    monkeypatch.setattr(naming, "held_out", lambda _, columns: len(columns))
+    monkeypatch.setattr(naming, "only_good_poses", lambda columns, *_: columns)
+    monkeypatch.setattr(naming, "gain", lambda columns, _: (found[columns], 1.0, 0))
+    study = SimpleNamespace(bench=SimpleNamespace(poses=range(SETTINGS.fewest_poses)), base=Columns(3))
+    remainder = SimpleNamespace(structures=(), block=Columns(5))
+    bare: Any = SimpleNamespace(study=study, remainder=remainder)
+    one: Any = SimpleNamespace(ids=("joint_backlash",), study=study, remainder=remainder)
     family: Any = None
     return naming.refused(bare, bare, one, family, SETTINGS)[0]
 
@@ -60,6 +74,13 @@ def test_evidence_makes_up_for_held_out_poses_that_show_little(monkeypatch: pyte
     assert answer(monkeypatch, 1.01 * enough, clearly) == ""
     assert answer(monkeypatch, 1.49 * enough, clearly / 2) == "it does not help on held-out poses"
     assert answer(monkeypatch, 1.51 * enough, clearly / 2) == ""
+
+
+def test_poses_that_what_has_no_name_predicts_badly_are_asked_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    enough, clearly = SETTINGS.nats_to_name, SETTINGS.held_out_sigmas
+    assert answer(monkeypatch, 2.01 * enough, -1.0, beside=clearly) == ""
+    assert answer(monkeypatch, 1.99 * enough, -1.0, beside=clearly) == "it does not help on held-out poses"
+    assert answer(monkeypatch, 1e6, -1.0, beside=0.0) == "it does not help on held-out poses"
 
 
 @pytest.mark.parametrize("better_by", [0.0, -1.0, float("nan")])
