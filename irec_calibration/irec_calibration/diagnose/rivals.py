@@ -93,6 +93,7 @@ def rivals_of(
             if o.effect.family is term.effect.family
             or (by_step and follows_step(o.effect, final.study.ready))
             or (term.effect.turns_by_angle and o.effect.turns_by_angle)
+            or o.effect.special_of == term.effect.id
         ]
         others |= {i: None for i in (*alike, *gone) if i not in final.ids and i not in others}
         also = also_called(term, final.study.ready)
@@ -143,7 +144,7 @@ def rivals_of(
             more = 0.0 if in_one_pose(one, other) else stays
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final) + more
             raw = min(odds, by_themselves - by_rival + more)
-            if other == term.effect.special_of and raw > -settings.nats_to_prefer:
+            if other == term.effect.special_of and raw > -settings.nats_to_separate:  # not told apart: the simpler one
                 continue
             # an arm that tilts or bends gives way in its gears too: without these it is named only where they explain far less
             beside = settings.share_beside if other == term.effect.beside else 0.0
@@ -156,7 +157,9 @@ def rivals_of(
             if odds < settings.nats_to_name or counts < settings.nats_over_rival:
                 same.append((other, counts))
                 models[term.effect.id, other] = InPlace(one, raw, by_themselves - by_none, share)
-                if (raw < -settings.nats_to_separate or other == own_kind) and one.term(other).effect.beside != term.effect.id:
+                simpler = one.term(other).effect.special_of == term.effect.id and raw < settings.nats_to_separate
+                better = raw < -settings.nats_to_separate or simpler or other == own_kind
+                if better and one.term(other).effect.beside != term.effect.id:
                     likelier.append((raw, one, bare))
         known = {i for i, _ in same} | no_rival
         same += [one for one in out.get(term.effect.id, ()) if one[0] not in known]

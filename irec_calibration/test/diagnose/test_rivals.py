@@ -3,9 +3,20 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-from irec_calibration.diagnose.rivals import as_they_count
+import synthetic
+from irec_calibration.diagnose import start_terms
+from irec_calibration.diagnose.candidates import options, try_option
+from irec_calibration.diagnose.explanation import Explanation, explain
+from irec_calibration.diagnose.family import family_of
+from irec_calibration.diagnose.ground import Ground
+from irec_calibration.diagnose.remainder import grow
+from irec_calibration.diagnose.rivals import as_they_count, rivals_of
 from irec_calibration.diagnose.settings import SETTINGS
+from irec_calibration.diagnose.study import prepare
+from irec_calibration.effects.scene import Scene
+from irec_calibration.typing import Array
 
 
 @pytest.mark.parametrize("own", [10.0, 100.0])
@@ -22,3 +33,26 @@ def test_odds_over_an_effect_of_another_kind_count_as_they_are() -> None:
 @pytest.mark.parametrize("odds", [-1.0, 0.005, 3.0])
 def test_the_likelier_of_two_laws_is_named_first(odds: float) -> None:
     assert (as_they_count(odds, 100.0, SETTINGS.share_between_laws) > 0.0) == (odds > 0.0)
+
+
+def marker_elsewhere(scene: Scene) -> Array:
+    """As a wrong nest does, and a last link of another length."""
+    return scene.kin.R_tool @ np.array([0.01, 0.0, 0.015])
+
+
+def joint_3_elsewhere(scene: Scene) -> Array:
+    """As no marker does."""
+    return 0.02 * scene.J[:, :, 2]
+
+
+@pytest.mark.parametrize(("hidden", "instead"), [(marker_elsewhere, ["marker_offset"]), (joint_3_elsewhere, [])])
+def test_wrong_links_give_way_to_a_wrong_marker_unless_they_explain_more(hidden, instead) -> None:
+    measured = synthetic.session(poses=20, seed=5, extra=hidden)
+    study = prepare(measured, start_terms(measured)).to_weigh
+    family, found = family_of(study), options(study)[0]
+    start = Explanation((), study, 0.0, grow(study.bench, family, study.base))
+    links = next(o for o in found if o.effect.id == "geometry_error")
+    one = explain(start, start, try_option(Ground(study.bench, study.base), links, study.ready), family)
+    assert one is not None
+    rivals = rivals_of(start, one, {}, [], found, family, lambda: None, SETTINGS)
+    assert [better.ids[-1] for better, _ in rivals.likelier] == instead
