@@ -52,8 +52,10 @@ class Counterbalance(Effect):
         return (*by_load, *by_weight)
 
     def log_odds(self, scene: Scene) -> float:
-        light = scene.kind == "absolute" and scene.gravity.largest[AXIS] < HEAVY
-        return WITHOUT if light else 0.0
+        return WITHOUT if _light(scene) else 0.0
+
+    def rather(self, values: Mapping[str, float], compliance: Mapping[str, float], scene: Scene) -> str:
+        return "encoder_harmonics" if _light(scene) else ""
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
         waves = harmonics(scene.q[:, AXIS])[:, None, :]
@@ -82,6 +84,11 @@ class Counterbalance(Effect):
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Balancer(*theta[: len(NAMES)]) if len(theta) else LeftOut("has no axis to act on in this robot")
+
+
+def _light(scene: Scene) -> bool:
+    """Whether an arm of an absolute session needs no balancer, nor has one."""
+    return bool(scene.kind == "absolute" and scene.gravity.largest[AXIS] < HEAVY)
 
 
 def harmonics(q: Array) -> Array:

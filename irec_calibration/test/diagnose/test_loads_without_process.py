@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic
 from absolute_sessions import session, torsion
 from irec_calibration.diagnose import diagnose, improve
 from irec_calibration.effects import find_effect
@@ -164,4 +165,15 @@ def test_what_a_balancer_carries_of_the_weight_shows_in_absolute_sessions_as_an_
     wrong = np.array([{"a1_2": 2e-4, "b2_2": 1e-4}.get(p.name, 0.0) for p in other])
     np.testing.assert_allclose(balancer.displacement(scene, carried), encoder.displacement(scene, wrong), atol=1e-15)
     # a light arm has none
-    assert balancer.log_odds(scene) < -4.0
+    assert balancer.log_odds(scene) < -4.0 and balancer.rather({}, {}, scene) == "encoder_harmonics"
+
+
+@pytest.mark.parametrize(("stiffness", "also"), [(0.0, "encoder_harmonics"), (1e-7, "")])
+def test_a_balancer_that_changes_no_compliance_may_be_an_encoder(stiffness: float, also: str) -> None:
+    scene, balancer = scene_of(session(poses=6)), find_effect("counterbalance")
+    values = {"a": stiffness, "p_a": 2e-4}
+    theta = np.array([values.get(p.name, 0.0) for p in balancer.parameters(scene)])
+    errors = np.full(len(theta), 1e-8)
+    assert balancer.also_called(scene, theta, errors) == also
+    in_differences = scene_of(synthetic.session(poses=2))
+    assert balancer.also_called(in_differences, theta, errors) == "" and balancer.rather({}, {}, in_differences) == ""
