@@ -14,7 +14,7 @@ from .scales import SURELY
 from .scene import Scene
 from .traits import Cause, Family
 
-LARGEST = 1.5e-3  # rad; ten times the transmission error of sound gears (0.5 arcmin), beyond any eccentric disc that still counts
+LARGEST = 2.5e-3  # rad; a disc that sits a tenth of a millimetre beside its axis, read at 40 mm
 UPRIGHT = 0.01  # of the rated torque, up to which the weight of the arm says nothing of the side on which play lies
 WELL_KNOWN = 10.0  # standard errors; what is known less well has no shape
 UNLIKE = 0.06  # of a curve's square, that no play has; chosen: harmonics fitted to play of any width had up to 0.05 in 19 of 20
