@@ -12,7 +12,7 @@ from .traits import Cause, Family
 
 FEWEST, MOST = 3, 32  # repeats per turn; fewer are `encoder_harmonics`, and smooth functions
 TYPICAL = 3e-5  # rad; transmission errors of sound gears are up to 1.5e-4
-LARGEST = 1.5e-3  # rad; as of `encoder_harmonics`
+LARGEST = 1.5e-3  # rad; ten times the transmission error of sound gears (0.5 arcmin)
 
 
 class JointRipple(Effect):
