@@ -155,6 +155,8 @@ def rivals_of(
                 no_rival.add(other)
                 continue
             if odds < settings.nats_to_name or counts < settings.nats_over_rival:
+                if not law and has_a_cause_of_its_own(start, (final, one, bare), by_id[other], family, settings):
+                    continue
                 same.append((other, counts))
                 models[term.effect.id, other] = InPlace(one, raw, by_themselves - by_none, share)
                 simpler = one.term(other).effect.special_of == term.effect.id and raw < settings.nats_to_separate
@@ -167,6 +169,26 @@ def rivals_of(
         if same:
             out[term.effect.id] = tuple(sorted(same, key=lambda t: t[1]))
     return Rivals(out, tuple((one, bare) for _, one, bare in sorted(likelier, key=lambda t: t[0])), models)
+
+
+def has_a_cause_of_its_own(
+    start: Explanation, models: tuple[Explanation, Explanation, Explanation], rival: Option, family: Family, settings: Settings
+) -> bool:
+    """Whether a rival explains beside a name most of what it does in its place, and the name beside the rival what a name has to.
+
+    Args:
+        models: with the name, with the rival in its place, and with neither.
+    """
+    final = models[0]
+    option = rival.on(final.study)
+    if not option.tables:
+        return False
+    both = explain(start, final, try_option(Ground(final.study.bench, final.study.base), option, final.study.ready), family)
+    if both is None or implausible(both, option.effect.id):
+        return False
+    by_both, by_name, by_rival, by_none = _beside_bad_rows((both, *models), family)
+    rivals_own, names_own = by_both - by_name, by_both - by_rival
+    return rivals_own > settings.share_of_own * (by_rival - by_none) and min(rivals_own, names_own) > settings.nats_to_name
 
 
 def as_they_count(odds: float, own: float, share: float) -> float:

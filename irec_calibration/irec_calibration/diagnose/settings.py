@@ -161,6 +161,10 @@ class Settings(Thresholds):
         0.5, "share of evidence", "of the name, that a rival must bring by itself, without what has no name beside it",
         "less than half, and it is nonparametric structure that stands in the name's place",
     )  # fmt: skip
+    share_of_own: float = threshold(
+        0.5, "share of evidence", "of a rival in a name's place, that it brings beside the name where it has a cause of its own",
+        "as much as `share_of_rival`",
+    )  # fmt: skip
     nats_to_refit: float = threshold(
         15.0, "nats", "effects this much worse than the best are not fitted exactly", "three times what is told apart",
     )  # fmt: skip

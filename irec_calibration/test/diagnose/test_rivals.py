@@ -12,11 +12,12 @@ from irec_calibration.diagnose.explanation import Explanation, explain
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.ground import Ground
 from irec_calibration.diagnose.remainder import grow
-from irec_calibration.diagnose.rivals import as_they_count, rivals_of
+from irec_calibration.diagnose.rivals import as_they_count, has_a_cause_of_its_own, rivals_of
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.study import prepare
 from irec_calibration.effects.scene import Scene
 from irec_calibration.typing import Array
+from test_diagnose import play_of_axis_4
 
 
 @pytest.mark.parametrize("own", [10.0, 100.0])
@@ -56,3 +57,26 @@ def test_wrong_links_give_way_to_a_wrong_marker_unless_they_explain_more(hidden,
     assert one is not None
     rivals = rivals_of(start, one, {}, [], found, family, lambda: None, SETTINGS)
     assert [better.ids[-1] for better, _ in rivals.likelier] == instead
+
+
+def marker_elsewhere_beside_play(scene: Scene) -> Array:
+    return marker_elsewhere(scene) + play_of_axis_4(scene)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "rival", "its_own"),
+    [(marker_elsewhere_beside_play, "joint_backlash", True), (marker_elsewhere, "geometry_error", False)],
+)
+def test_an_effect_that_explains_as_much_beside_a_name_has_a_cause_of_its_own(hidden, rival, its_own) -> None:
+    measured = synthetic.session(poses=20, seed=5, extra=hidden)
+    study = prepare(measured, start_terms(measured)).to_weigh
+    family, found = family_of(study), {o.effect.id: o for o in options(study)[0]}
+    start = Explanation((), study, 0.0, grow(study.bench, family, study.base))
+
+    def with_(effect_id: str) -> Explanation:
+        one = explain(start, start, try_option(Ground(study.bench, study.base), found[effect_id], study.ready), family)
+        assert one is not None
+        return one
+
+    models = (with_("marker_offset"), with_(rival), start)
+    assert has_a_cause_of_its_own(start, models, found[rival], family, SETTINGS) == its_own
