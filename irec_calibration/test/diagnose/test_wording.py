@@ -10,6 +10,7 @@ import pytest
 from irec_calibration.diagnose import wording
 from irec_calibration.diagnose.part_sets import Parts
 from irec_calibration.diagnose.result import Measurement
+from irec_calibration.effects import find_effect
 from irec_calibration.identification.noise import InferredNoise
 from irec_calibration.identification.validation import HeldOut, rms
 from irec_calibration.model import GEOMETRIC
@@ -127,3 +128,19 @@ def test_where_the_data_do_not_tell_poses_that_do_are_the_next_step() -> None:
     sets = (("joint_backlash", "joint_stiffening"),)
     assert any(command == "irec plan CELL --to-tell SESSION" for _, command in steps(0, sets))
     assert not any("--to-tell" in command for _, command in [*steps(0), *steps(0, sets, GEOMETRIC)])
+
+
+@pytest.mark.parametrize(
+    ("effect_id", "also", "said"),
+    [
+        ("encoder_harmonics", "joint_backlash", "On which side of its play"),
+        ("counterbalance", "encoder_harmonics", "What a balancer carries"),
+        ("station_registration", "geometry_error", "A station turned"),
+    ],
+)
+def test_why_two_effects_are_not_told_apart_goes_with_what_they_are(monkeypatch, effect_id, also, said) -> None:
+    monkeypatch.setattr(wording, "also_called", lambda term, scene: also)
+    final = SimpleNamespace(added=(SimpleNamespace(effect=find_effect(effect_id)),))
+    found = SimpleNamespace(study=SimpleNamespace(ready=None), built=SimpleNamespace(final=final), one_of=((effect_id, also),))
+    (sentence,) = wording._why_either(found)  # type: ignore[arg-type]
+    assert sentence.startswith(said)
