@@ -253,7 +253,7 @@ def _why_either(assessment: Assessment) -> list[str]:
         if not also or not any({term.effect.id, also} <= set(s) for s in assessment.one_of):
             continue
         if term.effect.turns_by_angle and term.effect.by_angle:
-            out.append("What a balancer carries of the weight turns its axis by that axis' own angle, as an eccentric encoder does.")
+            out.append("What a balancer carries of the weight turns its axis by its own angle, as an eccentric encoder does.")
         elif term.effect.turns_by_angle:
             out.append(
                 "On which side of its play an axis lies that no weight turns goes with its angle, as an encoder's error does."
