@@ -11,7 +11,7 @@ from ..robot.ratings import rated_torque
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .live import ColumnLaw, LiveForm, Tick, drives
-from .scales import at_border, comes_near_zero, may_be_wide, typical_compliance
+from .scales import at_border, comes_near_zero, may_be_wide
 from .scene import Scene
 from .traits import Ageing, Family
 from .travel import clipped_in_turn
@@ -22,10 +22,6 @@ TAKEN_UP_OVER = (AT_ONCE, 0.004, 0.015)
 WIDEST = 0.03
 HELD_UP_TO = 1.5  # times the range over which play is taken up; chosen: nine tenths of the play are held without load then
 SHAPE = 3  # parameters that enter nonlinearly, the last ones
-# Times the compliance of the loaded gear by which it is softer about zero; what is less is a soft gear, whose makers state a
-# stiffness that rises by 1.5 to 2.5 times. Chosen: 6 to 240 of play on simulators of others, 2 to 4 of gears that were soft.
-LEAST_SOFTER = 5.0
-STIFF = 0.2  # of the typical compliance: the stiffest gears
 PLAY = 1.0e-4  # rad, of one gear, that a check over the years must find
 # Sound gears have lost motion of up to an arc minute, 2.9e-4 rad; chosen: what was found in several axes of such robots, at most
 USUAL_PLAY, USUAL_AXES = 1.0e-4, 2.3
@@ -100,17 +96,6 @@ class JointBacklash(Effect):
         soft = theta[-SHAPE] * rated_torque(scene.robot)[driven]
         wide = may_be_wide(scene, driven, theta[: len(driven)], soft, WIDEST).any()
         return "joint_stiffening" if wide or at_border(theta[-SHAPE], WIDEST) else ""
-
-    def rather(self, values: Mapping[str, float], compliance: Mapping[str, float], scene: Scene) -> str:
-        play = {int(n[2:]): v for n, v in values.items() if n.startswith("b_")}
-        soft = values.get("w", 0.0) * rated_torque(scene.robot)
-        if sum(play.values()) <= 0.0:
-            return ""
-        least = STIFF * typical_compliance(scene.robot)  # where the session does not know the gear
-        springs = {k: max(compliance.get(f"c_{k}", 0.0), float(least[k - 1])) for k in play}
-        softer = {k: 0.5 * b / max(soft[k - 1] * springs[k], 1e-300) for k, b in play.items()}
-        mean = sum(b * softer[k] for k, b in play.items()) / sum(play.values())
-        return "joint_stiffening" if mean < LEAST_SOFTER else ""
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         return tuple(

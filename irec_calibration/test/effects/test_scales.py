@@ -240,23 +240,6 @@ def test_a_light_robot_may_stand_on_what_is_as_soft_as_it_is_light():
     assert softest_likely(NO_MASSES) == 2e-6
 
 
-@pytest.mark.parametrize(
-    ("play", "w", "known", "rather"),
-    [
-        (3e-4, 0.005, True, ""),
-        (2e-3, 0.03, True, ""),  # nine times as soft
-        (3e-4, 0.03, True, "joint_stiffening"),  # 1.4 times
-        (3e-5, 0.03, False, "joint_stiffening"),  # of a gear that the session does not know
-        (0.0, 0.03, True, ""),
-    ],
-)
-def test_a_gear_that_is_little_softer_about_zero_has_no_play(play, w, known, rather):
-    scene = scene_of(session(poses=4))
-    compliance = {"c_1": 5e-7 if known else 0.0}
-    said = find_effect("joint_backlash").rather({"b_1": play, "b_2": 0.01 * play, "w": w}, compliance, scene)
-    assert said == rather
-
-
 def test_a_law_that_came_to_the_border_between_play_and_a_soft_gear_may_be_either():
     scene = scene_of(session(poses=8))
     said = []
