@@ -71,6 +71,8 @@ def rivals_of(
 
     Two laws of an axis' torque (play, stiffening, friction, counterbalance) are told apart by a share of the name's evidence
     more than two other effects: gears follow none of them exactly.
+    What explains something else beside the name is no rival. Of an effect and a special form of it (`Effect.special_of`) that are
+    not told apart the special form is the likelier, and so is what fitted values are rather (`Effect.rather`).
     Play and a soft gear are told apart by how much torque takes it up: where no torque limit is stated, either may do.
     What the readings at the references carry has no rival that they carry less; what they prove without the differences, which
     other causes may bend, has none that does not move them.

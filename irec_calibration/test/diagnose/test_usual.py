@@ -184,6 +184,15 @@ def test_usual_links_are_a_cause_where_more_than_noise_is_seen_of_them(monkeypat
     assert cause_if_alone(one, "geometry_error", seen / (of_noise * SETTINGS.usual_beside_noise)) == expected
 
 
+@pytest.mark.parametrize(("cause", "status"), [(True, "missing_effect"), (False, "adequate")])
+def test_such_a_session_is_not_adequate(monkeypatch, cause, status) -> None:
+    monkeypatch.setattr(type(find_effect("marker_offset")), "is_usual", lambda self, values, share, scene: True)
+    monkeypatch.setattr(assessment, "cause_if_alone", lambda one, effect_id, noise: cause)
+    verdict = diagnose(synthetic.session(poses=20, seed=5, extra=marker_elsewhere)).verdict
+    named, usual_ = (("marker_offset",), ()) if cause else ((), ("marker_offset",))
+    assert (verdict.status, verdict.effects, verdict.usual) == (status, named, usual_)
+
+
 def goes_with_another_angle(scene: Scene) -> NDArray[np.float64]:
     u = np.einsum("nik,nk->ni", scene.J, synthetic.COMPLIANCE * scene.tau)
     return 0.08 * np.sin(4.0 * scene.q[:, [1]] + scene.q[:, [4]]) * u
