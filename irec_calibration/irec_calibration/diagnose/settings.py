@@ -330,6 +330,10 @@ class Settings(Thresholds):
         0.01, "of the error on held-out poses", "by which it has to fall with a name none of whose parts is proven (absolute)",
         "on an outside simulator a hose, none of ten parts of which was proven, described the teeth of a gear and gained 0.2 %",
     )  # fmt: skip
+    unproven_beside: float = threshold(
+        3.0, "times the structure left", "that a name none of whose parts is proven has to explain on held-out poses (loaded)",
+        "a tenth of its squares is what is left then; friction of 136 um, of which no axis was sure, was no name for 12 um",
+    )  # fmt: skip
 
     nats_to_take_in: float = threshold(
         3.0, "nats", "that a structure needs, the number tried taken off, to be taken into a nonparametric remainder",

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ..effects import find_effect
 from ..identification.validation import gain
 from ..model import Term
@@ -76,7 +78,8 @@ def unproven(session: Session, assessment: Assessment, after: Validated, check: 
     """Names none of whose parts is proven, and which may only describe some of what has no name.
 
     Much of what real robots have has none, and an effect with many parts may describe some of it. In a loaded session that is a
-    name beside structure that is left; in an absolute one, a name without which other poses are predicted as well.
+    name beside structure that is left, unless it explains far more of other poses than that; in an absolute one, a name without
+    which other poses are predicted as well.
 
     Args:
         after: the model with all that was added.
@@ -86,13 +89,16 @@ def unproven(session: Session, assessment: Assessment, after: Validated, check: 
         parts = assessment.parts.get(name)
         if parts is None or parts.proven or find_effect(name).compliance_of:
             continue
-        if session.kind == "loaded":
-            out += [name] if assessment.evidence and not parts.one_of else []
+        if session.kind == "loaded" and (parts.one_of or not assessment.evidence):
             continue
         check()
-        without = validated(session, [t for t in after.study.terms if t.effect.id != name])
-        if after.held_out.rms_m > (1.0 - SETTINGS.absolute_gain) * without.held_out.rms_m:
-            out.append(name)
+        without = validated(session, [t for t in after.study.terms if t.effect.id != name]).held_out.rms_m
+        if session.kind == "loaded":
+            explains = float(np.sqrt(max(without**2 - after.held_out.rms_m**2, 0.0)))
+            falls = explains <= SETTINGS.unproven_beside * assessment.remaining_m or not assessment.remaining_m
+        else:
+            falls = after.held_out.rms_m > (1.0 - SETTINGS.absolute_gain) * without
+        out += [name] if falls else []
     return tuple(out)
 
 

@@ -32,11 +32,12 @@ def model(*ids: str, error: float) -> Any:
         ("absolute", None, 100.5e-6, (), ()),
         ("loaded", Parts(perhaps=("constant",)), 100.5e-6, (), ()),
         ("loaded", Parts(perhaps=("constant",)), 100.5e-6, ("repeats",), ("external_force",)),
+        ("loaded", Parts(perhaps=("constant",)), 105e-6, ("repeats",), ()),
         ("loaded", Parts(proven=("constant",)), 100.5e-6, ("repeats",), ()),
         ("loaded", Parts(one_of=(("constant",), ("with the tool",))), 100.5e-6, ("repeats",), ()),
     ],
 )
-def test_without_a_proven_part_a_name_has_to_lower_the_error_on_other_poses_or_to_leave_nothing_without_one(
+def test_without_a_proven_part_a_name_has_to_lower_the_error_on_other_poses_by_far_more_than_what_is_left(
     monkeypatch: pytest.MonkeyPatch, kind: str, parts: Parts | None, without: float, evidence: Any, fallen: tuple[str, ...]
 ) -> None:
     asked: list[tuple[str, ...]] = []
@@ -47,7 +48,7 @@ def test_without_a_proven_part_a_name_has_to_lower_the_error_on_other_poses_or_t
 
     monkeypatch.setattr(shown, "validated", validated)
     known = {"joint_torsion": Parts(perhaps=("axis 1",))} | ({"external_force": parts} if parts else {})
-    assessment: Any = SimpleNamespace(names=("joint_torsion", "external_force"), parts=known, evidence=evidence)
+    assessment: Any = SimpleNamespace(names=("joint_torsion", "external_force"), parts=known, evidence=evidence, remaining_m=10e-6)
     after = model("joint_torsion", "external_force", error=100e-6)
     session: Any = SimpleNamespace(kind=kind)
     assert shown.unproven(session, assessment, after, lambda: None) == fallen
