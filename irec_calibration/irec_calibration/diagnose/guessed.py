@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from .build import Built
+from .explanation import without
 from .parts import parts_in, prune
 from .settings import SETTINGS
 from .study import Study
@@ -18,7 +19,10 @@ from .study import Study
 
 def guessed(built: Built) -> dict[str, str]:
     """Added effects of a loaded session no part of which is proven, with more parameters than any displacement of each pose has,
-    or with more forms at once than a cause has, and why they can't be told, in words."""
+    or with more forms of a pull at once than a cause has, and why they can't be told, in words.
+
+    What explains much of all that has a name is there in some form, whichever it is.
+    """
     final = built.final
     if final.study.ready.kind != "loaded":
         return {}
@@ -27,6 +31,10 @@ def guessed(built: Built) -> dict[str, str]:
     def too_many(study: Study, effect_id: str) -> bool:
         return study.owners.count(effect_id) > SETTINGS.parameters_of_pose * poses
 
+    def is_much(effect_id: str) -> bool:
+        own = final.named - without(built.start, final, effect_id, built.family).named
+        return own > max(SETTINGS.nats_of_guess, SETTINGS.share_of_guess * (final.named - built.start.named))
+
     many = [i for i in final.ids if too_many(final.study, i) or _forms(final.study, i) > SETTINGS.forms_of_cause]
     if not many:
         return {}
@@ -34,7 +42,7 @@ def guessed(built: Built) -> dict[str, str]:
     out: dict[str, str] = {}
     for i in many:
         parts = pruned.parts.get(i)
-        if parts is None or parts.proven:
+        if parts is None or parts.proven or is_much(i):
             continue
         if too_many(pruned.study, i):
             out[i] = f"it has more parameters than {SETTINGS.parameters_of_pose} for each of {poses} poses"
@@ -44,7 +52,10 @@ def guessed(built: Built) -> dict[str, str]:
 
 
 def _forms(study: Study, effect_id: str) -> int:
-    """How many parts of an effect a model has that are no axes: each would be a cause of its own."""
+    """How many parts of a pull at the arm a model has that are no axes: each would be a cause of its own. Those of a force sensor
+    that is wrong are none."""
     term = next(t for t in study.terms if t.effect.id == effect_id)
+    if not term.effect.loads_arm:
+        return 0
     of_axes = {p.group for p in term.effect.parameters(study.ready) if p.axis is not None}
     return len(set(parts_in(term, study)) - of_axes)

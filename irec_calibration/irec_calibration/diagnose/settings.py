@@ -347,6 +347,13 @@ class Settings(Thresholds):
         6, "parts", "that are no axes, with more of which an effect of a loaded session is left out where none is proven",
         "chosen: what was no hose had each of 15",
     )  # fmt: skip
+    share_of_guess: float = threshold(
+        0.33, "of what all names explain", "of which an effect that would be left out so explains no more",
+        "on outside simulators hoses in many forms explained 0.5 to 1 of it, and what was none 0.04",
+    )  # fmt: skip
+    nats_of_guess: float = threshold(
+        100.0, "nats", "of which it explains no more, in any case", "those hoses explained 350 and more; chosen",
+    )  # fmt: skip
     parameters_of_pose: int = threshold(
         3, "parameters", "for each pose of a loaded session, with more of which an effect without a proven part is left out",
         "they describe any displacement that a pose has by itself",

@@ -15,6 +15,7 @@ from .hoses import (
     AXES,
     FOREARM,
     OF_HOSE,
+    OF_PLACE,
     PLACE,
     TAUT,
     drawn,
@@ -47,7 +48,8 @@ class ExternalForce(Effect):
         "Dress pack, hoses and cables pull at the tool with a force that the sensor does not see and that is not the same "
         "at the reference and under load: J C J^T f_0. Parts of the family: constant in base_link or in tool0; drawn towards a "
         "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); drawn towards a place h with one "
-        "tension t, as by a spring balancer, at the TCP or (t_wrist) at the wrist; the first two of these at the wrist, "
+        "tension t, as by a spring balancer, at the TCP or (t_wrist) at the wrist, or with one that grows with the way "
+        "(t + k_place |h - p_tcp|), as of a hose; the first two of these at the wrist, "
         "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
         "wrist axis, or with the first where it comes from the cell; along axes of tool0, turning with a wrist axis, where it is "
         "fixed to a link of the wrist; between forearm and flange, where a dress pack that is fixed to both pulls them together "
@@ -116,7 +118,7 @@ class ExternalForce(Effect):
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         found = _weight_of_another_mass(values, scene)
         if found is None:
-            return ""
+            return _pushes(values, scene)
         along, mass, at_wrist = found
         if at_wrist:
             return (
@@ -142,8 +144,12 @@ class ExternalForce(Effect):
         if PLACE in proven and len(at) < len(AXES):
             return ""  # so far away that no place is known
         if PLACE in proven:
-            tension = values.get("t", 0.0) + values.get("t_wrist", 0.0)
-            return f"it pulls with some {_about(tension)} N towards about ({_point(at)}) m {look}"
+            tension, k = values.get("t", 0.0) + values.get("t_wrist", 0.0), values.get("k_place", 0.0)
+            if k > 0.0 and tension < 0.0:
+                pull = f"some {_about(k)} N/m of what its way is longer than {-tension / k:.1f} m"
+            else:
+                pull = f"some {_about(tension)} N" + (f" and {_about(k)} N more for each metre of its way" if k > 0.0 else "")
+            return f"it pulls with {pull} towards about ({_point(at)}) m {look}"
         if {*proven} == {"constant", "towards a point"} and k > 0.0:
             return f"it pulls as a spring of some {_about(k)} N/m towards about ({_point(constant / k)}) m {look}"
         size = float(np.linalg.norm(constant))
@@ -200,6 +206,15 @@ def _weight_of_another_mass(values: Mapping[str, tuple[float, float]], scene: Sc
     return along, along / max(g, 1e-9), constant is at_wrist
 
 
+def _pushes(values: Mapping[str, tuple[float, float]], scene: Scene) -> str:
+    """Why a pull towards a place is none: over the session its mean is a push; or an empty string."""
+    t, k, *place = (values.get(n, (0.0, 0.0))[0] for n in ("t", "k_place", *(f"h_{a}" for a in AXES)))
+    if t >= 0.0:
+        return ""
+    mean = t + k * float(np.linalg.norm(np.array(place) - scene.p_tcp, axis=1).mean())
+    return "" if mean >= 0.0 else f"it would push with {-mean:.3g} N from ({_point(place)}) m in base_link, and no hose does"
+
+
 def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
     """Wrench in tool0 by values of all parameters but those of a hose that always pulls, (n, 6), on the arm, and between forearm
     and flange."""
@@ -207,13 +222,13 @@ def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
     of_arm, end = on_arm.shape[2], on_arm.shape[2] + pack.shape[2]
     place, _ = _shaped(theta, end, scene)
     out, on_flange = on_arm @ theta[:of_arm], pack @ theta[of_arm:end]
-    if place[:2].any():
-        out += to_place(scene, place)[:, :, :2] @ place[:2]
+    if place[:3].any():
+        out += to_place(scene, place)[:, :, :3] @ place[:3]
     return out, on_flange
 
 
 def _shaped(theta: Array, first: int, scene: Scene) -> tuple[Array, Array]:
-    """Values of the pull towards a place, (5,), and of a hose between forearm and flange, (8,), or none of them, (0,)."""
+    """Values of the pull towards a place, (6,), and of a hose between forearm and flange, (8,), or none of them, (0,)."""
     end = len(theta) - OF_HOSE * has_pack(scene)
     return theta[first:end], theta[end:]
 
@@ -230,8 +245,9 @@ class _Pull(Pull):
         pack = last + 3 * has_pack(scene)
         self._by_angle_in_tool, self._pack = theta[end + 10 : last].reshape(-1, 3), theta[last:pack]
         towards, _ = _shaped(theta, pack, scene)  # a hose that always pulls does so without the process too
-        towards = towards if len(towards) else np.zeros(5)
-        self._tension, self._tension_wrist, self._place = float(towards[0]), float(towards[1]), towards[2:]
+        towards = towards if len(towards) else np.zeros(OF_PLACE)
+        self._tension, self._tension_wrist, self._k_place = (float(v) for v in towards[:3])
+        self._place = towards[3:]
         self._has_forearm = bool(self._by_forearm.any())
         self._has_wrist = bool(self._at_wrist.any() or self._k_wrist or self._tension_wrist)
         self._has_pack = bool(self._pack.any())
@@ -245,8 +261,8 @@ class _Pull(Pull):
     def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
         in_tool = self._in_tool + _waves(tick.q, self._turning_in_tool) @ self._by_angle_in_tool
         out: Array = self._constant + R_tool @ in_tool - self._k * p_tcp + _waves(tick.q, self._turning) @ self._by_angle
-        if self._tension:
-            out += drawn(self._tension, self._place, p_tcp)
+        if self._tension or self._k_place:
+            out += drawn(self._tension, self._place, p_tcp, self._k_place)
         if self._has_forearm:
             out += tick.directions[:, :3] @ self._by_forearm
         if self._has_wrist:

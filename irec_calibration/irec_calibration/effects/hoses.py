@@ -15,7 +15,8 @@ from .scene import Scene
 
 AXES = ("x", "y", "z")
 FOREARM = ("along", "a", "b")  # along the axis of the joint that moves the forearm, and along its two virtual axes
-PLACE = "with one tension towards a place"  # as a spring balancer pulls, a hose that is drawn in, or one that hangs
+PLACE = "with a tension towards a place"  # as a spring balancer pulls, a hose that is drawn in, or one that hangs
+OF_PLACE = 6  # parameters of it
 PLACES = (-0.5, 0.0, 0.5)  # of the reach in each direction, about a place half of it above base_link
 FARTHEST = 1.0  # likewise; from farther away a pull is as good as constant
 TAUT = "of a hose between forearm and flange"  # tied to both, slack where it is longer than the way
@@ -66,20 +67,23 @@ def _wrenches_anew(scene: Scene) -> tuple[Array, Array]:
 
 
 def to_place(scene: Scene, theta: Array) -> Array:
-    """Wrench in tool0 by each of (t, t_wrist, h_x, h_y, h_z) at these values, (n, 6, 5); (n, 6, 0) where there are none."""
+    """Wrench in tool0 by each of (t, t_wrist, k_place, h_x, h_y, h_z) at these values, (n, 6, 6); (n, 6, 0) where there are
+    none."""
     out = np.zeros((len(scene), 6, len(theta)))
     if not len(theta):
         return out
     in_tool = np.swapaxes(scene.kin.R_tool, 1, 2)
     for i, point in enumerate((scene.p_tcp, scene.kin.origin[:, wrist_centre(scene)])):
-        way = theta[2:] - point
+        way = theta[3:] - point
         length = np.maximum(np.linalg.norm(way, axis=1), NEAREST)[:, None]
         along, away = way / length, np.linalg.norm(way, axis=1) > NEAREST
         turned = (np.eye(3) - along[:, :, None] * along[:, None, :] * away[:, None, None]) / length[:, :, None]
         force = np.concatenate([along[:, :, None], theta[i] * turned], axis=2)  # by the tension, and by the place
         moment = np.swapaxes(np.cross((point - scene.p_tcp)[:, None], np.swapaxes(force, 1, 2)), 1, 2)
         wrench = np.concatenate([in_tool @ force, in_tool @ moment], axis=1)
-        out[:, :, [i, 2, 3, 4]] += wrench
+        out[:, :, [i, 3, 4, 5]] += wrench
+    out[:, :3, 2] = np.einsum("nij,nj->ni", in_tool, theta[3:] - scene.p_tcp)
+    out[:, :3, 3:] += theta[2] * in_tool
     return out * scene.rows.under_load[:, None, None]
 
 
@@ -120,10 +124,10 @@ def stretched(longer: Array) -> tuple[Array, Array]:
     return 0.5 * (longer + root), 0.5 * (1.0 + longer / root)
 
 
-def drawn(tension: float, place: Array, point: Array) -> Array:
-    """Force of one tension on a point that is drawn towards a place, (3,), N."""
+def drawn(tension: float, place: Array, point: Array, stiffness: float = 0.0) -> Array:
+    """Force on a point that is drawn towards a place by a tension, N, and more by a stiffness times the way, N/m, (3,), N."""
     way = place - point
-    return np.asarray(tension * way / max(math.sqrt(float(way @ way)), NEAREST))
+    return np.asarray((tension / max(math.sqrt(float(way @ way)), NEAREST) + stiffness) * way)
 
 
 def turning(scene: Scene) -> list[int]:
@@ -183,11 +187,13 @@ def of_taut_hose(scene: Scene) -> tuple[Parameter, ...]:
 
 
 def of_place(scene: Scene) -> tuple[Parameter, ...]:
-    """Tensions at the TCP and at the wrist, and the place that both go towards."""
+    """Tensions at the TCP and at the wrist, by how much more the first is for each metre of the way, and the place that they go
+    towards. A hose that gets taut has less than none of the first, as far as it is shorter than it is long."""
     reach, weight = typical_reach(scene), float(np.linalg.norm(scene.gravity_in_base))
     above = -0.5 * reach * scene.gravity_in_base / weight if weight else np.array([0.0, 0.0, 0.5 * reach])
     return (
-        *(Parameter(n, "N", 20.0, 0.0, plausible=(0.0, 1000.0), group=PLACE) for n in ("t", "t_wrist")),
+        *(Parameter(n, "N", 20.0, low, plausible=(low, 1000.0), group=PLACE) for n, low in (("t", -1000.0), ("t_wrist", 0.0))),
+        Parameter("k_place", "N/m", 20.0 / reach, 0.0, plausible=(0.0, 2000.0), group=PLACE),
         *(
             Parameter(
                 f"h_{a}", "m", reach, float(c) - FARTHEST * reach, float(c) + FARTHEST * reach, start=float(c),

@@ -22,14 +22,20 @@ from numpy.typing import NDArray
 POSES = 10
 
 
-def built(count: int, kind: str = "loaded") -> Any:
-    """A built model with so many parameters of a force on the arm."""
+def built(count: int, kind: str = "loaded", named: float = 300.0) -> Any:
+    """A built model with so many parameters of a force on the arm, which explains so many nats."""
     study = SimpleNamespace(
         ready=SimpleNamespace(kind=kind),
         observation=SimpleNamespace(pose=np.repeat(np.arange(POSES), 5)),
         owners=("joint_torsion",) * 6 + ("external_force",) * count,
     )
-    return SimpleNamespace(final=SimpleNamespace(study=study, ids=("external_force",)), family=None, seen=None)
+    final = SimpleNamespace(study=study, ids=("external_force",), named=named)
+    return SimpleNamespace(final=final, start=SimpleNamespace(named=0.0), family=None, seen=None)
+
+
+@pytest.fixture(autouse=True)
+def explains_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guessed, "without", lambda *_: SimpleNamespace(named=280.0))
 
 
 @pytest.mark.parametrize(
@@ -70,13 +76,32 @@ def test_a_cause_with_each_of_its_forms_at_once_is_a_guess_where_none_is_proven(
 
 
 @pytest.mark.parametrize(
+    ("all_names", "bare", "guess"),
+    [
+        (1000.0, 500.0, False),
+        (1000.0, 700.0, True),  # less than a third of it
+        (120.0, 30.0, True),  # most of it, but little
+    ],
+)
+def test_what_explains_much_of_all_that_has_a_name_is_no_guess(
+    monkeypatch: pytest.MonkeyPatch, all_names: float, bare: float, guess: bool
+) -> None:
+    pruned = SimpleNamespace(study=built(20).final.study, parts={"external_force": Parts(perhaps=("constant",))})
+    monkeypatch.setattr(guessed, "prune", lambda *_, **__: pruned)
+    monkeypatch.setattr(guessed, "_forms", lambda *_: 15)
+    monkeypatch.setattr(guessed, "without", lambda *_: SimpleNamespace(named=bare))
+    assert list(guessed.guessed(built(20, named=all_names))) == (["external_force"] if guess else [])
+
+
+@pytest.mark.parametrize(
     ("effect_id", "names", "forms"),
     [
         ("external_force", ("f_x", "f_y", "f_x_tool", "k"), 3),
         ("joint_backlash", ("b_1", "b_4"), 0),  # axes
+        ("sensor_gain", ("e_xy", "e_xz", "e_yx"), 0),  # one matrix
     ],
 )
-def test_parts_that_are_axes_are_no_forms(effect_id: str, names: tuple[str, ...], forms: int) -> None:
+def test_parts_that_are_axes_or_of_a_sensor_are_no_forms(effect_id: str, names: tuple[str, ...], forms: int) -> None:
     term = Term(find_effect(effect_id), {n: Estimate(1.0) for n in names})
     study: Any = SimpleNamespace(terms=(term,), ready=scene_of(synthetic.session(poses=3)))
     assert guessed._forms(study, effect_id) == forms

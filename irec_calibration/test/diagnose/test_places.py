@@ -29,10 +29,10 @@ from irec_calibration.typing import Array
 TENSION, HOOK = 120.0, np.array([0.9, -0.4, 2.6])  # N; m in base_link
 
 
-def pulled(scene: Scene) -> Array:
+def pulled(scene: Scene, tension: float = TENSION, stiffness: float = 0.0) -> Array:
     """What the springs of the synthetic robot make of the tension at the TCP, (n, 3), m."""
     way = HOOK - scene.p_tcp
-    force = TENSION * way / np.linalg.norm(way, axis=1, keepdims=True) * (scene.load_case > 0)[:, None]
+    force = (tension / np.linalg.norm(way, axis=1, keepdims=True) + stiffness) * way * (scene.load_case > 0)[:, None]
     tau = np.einsum("nik,ni->nk", scene.kin.jacobian(scene.p_tcp), force)
     return np.asarray(np.einsum("nik,nk->ni", scene.J, tau * synthetic.COMPLIANCE))
 
@@ -51,13 +51,21 @@ def ladder() -> Ladder:
     return improve(synthetic.session(poses=24, seed=3, extra=pulled))
 
 
-def test_the_form_is_one_tension_along_the_way_to_the_place() -> None:
+@pytest.mark.parametrize(("tension", "stiffness"), [(TENSION, 0.0), (-150.0, 110.0), (0.0, 40.0)])
+def test_the_form_is_a_tension_along_the_way_to_the_place_that_may_grow_with_the_way(tension: float, stiffness: float) -> None:
     scene = scene_of(synthetic.session(poses=6))
     springs = Term(find_effect("joint_torsion"), {f"c_{k + 1}": Estimate(c) for k, c in enumerate(synthetic.COMPLIANCE)})
-    values = {"t": TENSION} | {f"h_{a}": h for a, h in zip("xyz", HOOK, strict=True)}
+    values = {"t": tension, "k_place": stiffness} | {f"h_{a}": h for a, h in zip("xyz", HOOK, strict=True)}
     hose = Term(find_effect("external_force"), {n: Estimate(float(v)) for n, v in values.items()})
     moved = total_displacement([springs, hose], scene) - total_displacement([springs], scene)
-    np.testing.assert_allclose(moved, pulled(scene), atol=1e-12)
+    np.testing.assert_allclose(moved, pulled(scene, tension, stiffness), atol=1e-12)
+
+
+def test_a_pull_towards_a_place_that_pushes_on_the_whole_is_impossible() -> None:
+    scene, effect = scene_of(synthetic.session(poses=6)), find_effect("external_force")
+    values = {f"h_{a}": (float(h), 0.1) for a, h in zip("xyz", HOOK, strict=True)} | {"t": (-150.0, 1.0)}
+    assert "it would push with" in effect.why_impossible(values, {}, scene)
+    assert effect.why_impossible(values | {"k_place": (110.0, 1.0)}, {}, scene) == ""
 
 
 def test_the_place_is_found_between_those_of_the_grid() -> None:
@@ -102,8 +110,10 @@ def test_who_improves_a_model_is_told_where_to_look_too(tmp_path: Path) -> None:
 def test_the_improved_model_has_the_tension_and_the_place_and_nothing_else_of_a_hose() -> None:
     term = next(t for t in ladder().model.terms if t.effect.id == "external_force")
     value = {n: e.value for n, e in term.estimates.items()}
-    assert set(value) == {"t", "t_wrist", "h_x", "h_y", "h_z"}
-    assert value["t"] + value["t_wrist"] == pytest.approx(TENSION, rel=0.2)
+    assert set(value) == {"t", "t_wrist", "k_place", "h_x", "h_y", "h_z"}
+    scene = scene_of(synthetic.session(poses=24, seed=3))
+    way = float(np.linalg.norm([value[f"h_{a}"] for a in "xyz"] - scene.p_tcp, axis=1).mean())
+    assert value["t"] + value["t_wrist"] + value["k_place"] * way == pytest.approx(TENSION, rel=0.2)
     assert np.linalg.norm([value[f"h_{a}"] - h for a, h in zip("xyz", HOOK, strict=True)]) < 0.4
 
 
@@ -132,6 +142,16 @@ def test_of_a_constant_pull_no_place_is_proven() -> None:
             {"t": 212.0, "h_x": 1.0, "h_y": 0.0, "h_z": 2.0},
             ("with the tool", PLACE),
             "some 210 N towards about (1.0, 0.0, 2.0) m",
+        ),
+        (
+            {"t": 212.0, "k_place": 35.0, "h_x": 1.0, "h_y": 0.0, "h_z": 2.0},
+            (PLACE,),
+            "some 210 N and 35 N more for each metre of its way towards about (1.0, 0.0, 2.0) m",
+        ),
+        (
+            {"t": -200.0, "k_place": 240.0, "h_x": 1.0, "h_y": 0.0, "h_z": 2.0},
+            (PLACE,),
+            "some 240 N/m of what its way is longer than 0.8 m towards about (1.0, 0.0, 2.0) m",
         ),
         ({"f_x": 30.0, "f_y": 0.0, "f_z": -40.0}, ("constant",), "some 50 N along (0.6, 0.0, -0.8) in base_link"),
         (

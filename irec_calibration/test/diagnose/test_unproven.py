@@ -48,7 +48,8 @@ def test_without_a_proven_part_a_name_has_to_lower_the_error_on_other_poses_by_f
 
     monkeypatch.setattr(shown, "validated", validated)
     known = {"joint_torsion": Parts(perhaps=("axis 1",))} | ({"external_force": parts} if parts else {})
-    assessment: Any = SimpleNamespace(names=("joint_torsion", "external_force"), parts=known, evidence=evidence, remaining_m=10e-6)
+    names = ("joint_torsion", "external_force")
+    assessment: Any = SimpleNamespace(names=names, parts=known, evidence=evidence, remaining_m=10e-6)
     after = model("joint_torsion", "external_force", error=100e-6)
     session: Any = SimpleNamespace(kind=kind)
     assert shown.unproven(session, assessment, after, lambda: None) == fallen
