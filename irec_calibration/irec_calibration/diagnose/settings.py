@@ -332,7 +332,7 @@ class Settings(Thresholds):
     )  # fmt: skip
     unproven_beside: float = threshold(
         3.0, "times the structure left", "that a name none of whose parts is proven has to explain on held-out poses (loaded)",
-        "a tenth of its squares is what is left then; friction of 136 um, of which no axis was sure, was no name for 12 um",
+        "a tenth of its squares is what is left then; friction of 136 um, of which no axis was sure, was no name beside 12 um",
     )  # fmt: skip
 
     nats_to_take_in: float = threshold(

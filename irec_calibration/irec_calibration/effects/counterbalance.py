@@ -44,9 +44,8 @@ class Counterbalance(Effect):
         if scene.n_joints <= AXIS or not scene.driven[AXIS]:
             return ()
         scale = 0.3 * typical_compliance(scene.robot)[AXIS]
-        # over a narrow range of angles they all but cancel; `why_impossible` asks their sum
-        limits = (-1000.0 * scale, 1000.0 * scale)
-        by_load = [Parameter(name, "rad/(N m)", scale, plausible=limits, group="stiffness", axis=AXIS) for name in NAMES]
+        # without limits of their own: over a narrow range of angles they all but cancel; `why_impossible` asks their sum
+        by_load = [Parameter(name, "rad/(N m)", scale, group="stiffness", axis=AXIS) for name in NAMES]
         carried = max(float(scene.gravity.largest[AXIS]), 1.0) * scale
         limits = (-20.0 * carried, 20.0 * carried)
         by_weight = [Parameter(name, "rad", carried, plausible=limits, group="preload", axis=AXIS) for name in PRELOAD]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from irec_calibration.effects import CATALOGUE, Cause, absent, find_effect, known_effects
+from irec_calibration.effects.counterbalance import harmonics
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.tool_weight import ToolWeight
 from irec_calibration.errors import EffectError
@@ -251,6 +252,22 @@ def test_a_balancer_takes_at_most_three_quarters_of_the_compliance_of_its_axis(s
     assert "at most 75% of it" in balancer.why_impossible(taken, {"c_2": 0.99 * quarter}, scene)
     assert balancer.why_impossible(taken, {"c_2": 0.1 * quarter}, scene) != ""
     assert "no compliance of axis 2" in balancer.why_impossible(taken, {}, scene)
+
+
+def test_coefficients_of_a_balancer_are_as_large_as_they_are_where_they_all_but_cancel(scene):
+    """Over the angles of a session two of its waves differ by little but a constant."""
+    balancer = find_effect("counterbalance")
+    parameters = {p.name: p for p in balancer.parameters(scene)}
+    waves = harmonics(scene.q[:, 1])[:, :2]
+    around = waves.mean(axis=0)
+    along = np.array([around[1], -around[0]]) / np.linalg.norm(around)  # of no mean: it cancels but for how the angle turns
+    typical = parameters["a"].scale / 0.3
+    theta = 10.0 * typical * along
+    changes = float(np.ptp(waves @ theta))
+    taken = {name: (float(v), 0.0) for name, v in zip(("a", "b"), theta, strict=True)}
+    assert all(parameters[n].plausible_range[0] < v < parameters[n].plausible_range[1] for n, (v, _) in taken.items())
+    assert balancer.why_impossible(taken, {"c_2": 2.0 * changes}, scene) == ""
+    assert "a balancer takes at most" in balancer.why_impossible(taken, {"c_2": 0.55 * changes}, scene)
 
 
 @pytest.mark.parametrize(
