@@ -53,6 +53,8 @@ class Parameter:
             refers to the springs (creep, hoses) refers to the loaded axis.
         goes_with: compliance (`c_2a`) that this parameter is proportional to; `width` is for one as soft as its scale, and the
             prior is as much wider or narrower as the session shows that compliance.
+        share_of: parameter of the effect (`a_3`) that this one multiplies: nothing shows it where that is 0, and every fit that
+            has that one has it.
         level: of an effect that completes the form of springs: those with the same text are large or small together, and the
             session says how large they are.
     """
@@ -75,6 +77,7 @@ class Parameter:
     first: bool = False
     takes_from: str = ""
     goes_with: str = ""
+    share_of: str = ""
     level: str = ""
 
     @property

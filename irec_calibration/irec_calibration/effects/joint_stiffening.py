@@ -28,7 +28,9 @@ class JointStiffening(Effect):
         "g(tau_g,k)] with g(x) = a_k (x - x_0 s(x / x_0)), a_k <= 0: cubic below x_0, above it a piecewise line (s = tanh); "
         "with slow 1/2 softest at no torque at all (s(u) = sign(u) (1 - exp(-|u|))), with slow 1 a stiffness that goes on "
         "growing (s = asinh). The compliance never rises with the torque; what is softer over less than 3 % of the rated torque "
-        "is play. Missing, the residual is odd and nonlinear in the torque of one axis, shifted by its gravity preload."
+        "is play. What such a gear gives way to the weight from no torque on, a session that presses about that torque does not "
+        "show: between reference and row the axis may sag by -J_k w_k a_k max|tau_g,k| tanh(tau_g,k / x_0) more, |w_k| <= 1. "
+        "Missing, the residual is odd and nonlinear in the torque of one axis, shifted by its gravity preload."
     )
     family = Family.TORQUE_LAW
     usual_visible = 0.007  # chosen; gears of an outside simulator, soft about zero torque, had 0.7 %, causes 0.74 and more
@@ -50,25 +52,32 @@ class JointStiffening(Effect):
             )
             for k in np.flatnonzero(scene.driven)
         )
+        sags = tuple(
+            Parameter(f"w_{k + 1}", "1", 1.0, -1.0, 1.0, group=f"axis {k + 1}", width=0.5, axis=int(k), share_of=f"a_{k + 1}")
+            for k in np.flatnonzero(scene.driven if scene.kind == "loaded" else [])
+        )
         return (
             *axes,
+            *sags,
             Parameter("x_0", "share of rated torque", 0.15, WIDEST, 3.0, start=0.15, grid=FRACTIONS_OF_RATED),
             Parameter("slow", "0, 1/2 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 0.5, 1.0), kinds=True),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        return self._columns(scene, *theta[-2:]) @ theta[:-2]
+        a, w = _of_axes(scene, theta)
+        return self._columns(scene, *theta[-2:]) @ a - _sag(scene, theta[-2])[:, :, : len(w)] @ (w * a[: len(w)])
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        *a, x_0, slow = theta
-        h = 1e-3
-        columns = self._columns(scene, x_0, slow)
+        (a, w), (x_0, slow) = _of_axes(scene, theta), theta[-2:]
+        h, n = 1e-3, len(w)
+        columns, sag = self._columns(scene, x_0, slow), _sag(scene, x_0)[:, :, :n]
         by_break = (self._columns(scene, x_0 + h, slow) - self._columns(scene, x_0 - h, slow)) @ a / (2 * h)
-        return np.concatenate([columns, by_break[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
+        columns[:, :, :n] -= sag * w
+        return np.concatenate([columns, -sag * a[:n], by_break[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
 
     def by_torque(self, scene: Scene, theta: Array, change: Array, read: bool) -> Array:
         a = np.zeros(scene.n_joints)
-        a[scene.driven] = theta[:-2]
+        a[scene.driven] = _of_axes(scene, theta)[0]
         saturates = _slope(theta[-1])((scene.tau_acting + scene.tau_gravity) / (theta[-2] * rated_torque(scene.robot)))
         slope = a * (float(read) - saturates)  # springs answer to what is read, by the loaded gear to what is not
         return np.asarray((scene.J * slope[:, None, :]) @ change)
@@ -85,14 +94,29 @@ class JointStiffening(Effect):
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         driven = np.flatnonzero(scene.driven)
         soft = theta[-2] * rated_torque(scene.robot)[driven]
-        wide = may_be_wide(scene, driven, theta[:-2], soft, WIDEST).all()
+        wide = may_be_wide(scene, driven, _of_axes(scene, theta)[0], soft, WIDEST).all()
         return "" if wide and not at_border(theta[-2], WIDEST) else "joint_backlash"
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray:
-        return np.append(comes_near_zero(scene, theta[-2] * rated_torque(scene.robot))[scene.driven], (True, True))
+        bent = comes_near_zero(scene, theta[-2] * rated_torque(scene.robot))[scene.driven]
+        return np.concatenate([bent, np.ones(len(theta) - len(bent), dtype=bool)])
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Stiffening(scene, theta)
+
+
+def _of_axes(scene: Scene, theta: Array) -> tuple[Array, Array]:
+    """a_k and w_k of the driven axes; none of the latter in an absolute session, which measures all that an arm sags."""
+    n = int(np.count_nonzero(scene.driven))
+    return theta[:n], theta[n:-2]
+
+
+def _sag(scene: Scene, fraction: float) -> Array:
+    """Displacement per unit of a compliance from no torque on to the largest of the weight, (n, 3, driven), where an observer
+    compares with the reference; else 0."""
+    most = np.abs(scene.tau_gravity).max(axis=0, initial=0.0) * (scene.view.sags > 0.0)
+    wound = most * np.tanh(scene.tau_gravity / (fraction * rated_torque(scene.robot)))
+    return np.asarray((scene.J * wound[:, None, :])[:, :, scene.driven])
 
 
 def saturation(slow: float) -> Callable[[Array], Array]:
@@ -118,7 +142,7 @@ class _Stiffening(ColumnLaw):
     def __init__(self, scene: Scene, theta: Array) -> None:
         self.columns = drives(scene.n_joints)
         self._a = np.zeros(scene.n_joints)
-        self._a[scene.driven] = theta[:-2]
+        self._a[scene.driven] = _of_axes(scene, theta)[0]
         self._x_0 = theta[-2] * rated_torque(scene.robot)
         self._s = saturation(theta[-1])
         self.springs = Springs(tuple((c, c, float(a)) for c, a in zip(self.columns, self._a, strict=True)))

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..effects import absent, find_effect, known_effects
+from ..effects import absent, find_effect, known_effects, parameters_of
 from ..effects.scene import Scene
 from ..model import GEOMETRIC, Estimate, Term, regressors
 from ..session.data import Session
@@ -34,10 +34,11 @@ def completed(terms: Sequence[Term], observation: Observation) -> tuple[Term, ..
 
     Unknown stations and markers get their terms, and these every station and marker of the session, whichever they named
     before (of a model of another session; a reflector that was found to be seated anew). An effect that is `chosen_by_poses`,
-    without values, gets those parameters that the poses determine.
+    without values, gets those parameters that the poses determine. Parameters that are a share of another one
+    (`Parameter.share_of`) come with that.
     """
     if observation.session.kind != "absolute":
-        return tuple(as_read(t, observation) for t in terms)
+        return tuple(_with_shares(as_read(t, observation), observation) for t in terms)
     present = {t.effect.id for t in terms}
     registering = [find_effect(e) for e in GEOMETRIC]
     out = [Term(e) for e in registering if e.registers and e.id not in present and e.parameters(observation.scene)] + list(terms)
@@ -49,6 +50,15 @@ def completed(terms: Sequence[Term], observation: Observation) -> tuple[Term, ..
             kept = determined_geometry(tuple(out), i, observation)
             out[i] = replace(term, estimates={n: Estimate(0.0, unit=own[n].unit) for n in own if n in kept})
     return tuple(t for t in out if not t.effect.chosen_by_poses or t.estimates)
+
+
+def _with_shares(term: Term, observation: Observation) -> Term:
+    own = parameters_of(term.effect, observation.scene)
+    more = [p for p in own if p.share_of in term.estimates and p.name not in term.estimates]
+    if not more:
+        return term
+    added = {p.name: Estimate(p.start, unit=p.unit, lower=p.lower, upper=p.upper) for p in more}
+    return replace(term, estimates={**term.estimates, **added})
 
 
 def determined_geometry(terms: tuple[Term, ...], index: int, observation: Observation) -> set[str]:
