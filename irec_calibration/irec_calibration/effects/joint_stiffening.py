@@ -68,12 +68,12 @@ class JointStiffening(Effect):
         return self._columns(scene, *theta[-2:]) @ a - _sag(scene, theta[-2])[:, :, : len(w)] @ (w * a[: len(w)])
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        (a, w), (x_0, slow) = _of_axes(scene, theta), theta[-2:]
-        h, n = 1e-3, len(w)
-        columns, sag = self._columns(scene, x_0, slow), _sag(scene, x_0)[:, :, :n]
-        by_break = (self._columns(scene, x_0 + h, slow) - self._columns(scene, x_0 - h, slow)) @ a / (2 * h)
-        columns[:, :, :n] -= sag * w
-        return np.concatenate([columns, -sag * a[:n], by_break[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
+        a, w = _of_axes(scene, theta)
+        columns, sag = self._columns(scene, *theta[-2:]), _sag(scene, theta[-2])[:, :, : len(w)]
+        columns[:, :, : len(w)] -= sag * w
+        h = 1e-3 * np.eye(len(theta))[-2]
+        by_break = (self.displacement(scene, theta + h) - self.displacement(scene, theta - h)) / 2e-3
+        return np.concatenate([columns, -sag * a[: len(w)], by_break[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
 
     def by_torque(self, scene: Scene, theta: Array, change: Array, read: bool) -> Array:
         a = np.zeros(scene.n_joints)
