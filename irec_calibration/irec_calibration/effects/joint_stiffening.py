@@ -112,8 +112,8 @@ def _of_axes(scene: Scene, theta: Array) -> tuple[Array, Array]:
 
 
 def _sag(scene: Scene, fraction: float) -> Array:
-    """Displacement per unit of a compliance from no torque on to the largest of the weight, (n, 3, driven), where an observer
-    compares with the reference; else 0."""
+    """Displacement per compliance, (n, 3, driven), m per rad/(N m), of gears that wind up by the largest torque of the weight in
+    these rows; 0 where nobody compares with a reference."""
     most = np.abs(scene.tau_gravity).max(axis=0, initial=0.0) * (scene.view.sags > 0.0)
     wound = most * np.tanh(scene.tau_gravity / (fraction * rated_torque(scene.robot)))
     return np.asarray((scene.J * wound[:, None, :])[:, :, scene.driven])
