@@ -181,7 +181,9 @@ def assess(
     else:
         status = "unexplained" if evidence or one_of else "adequate"
     if status == "unexplained" and not evidence:  # effects describe it, one of which it is
-        depends_on = _depends_on(built, start, flexible, sought=True)
+        told = [t for i in final.ids for t in _own_torques(final.term(i), pruned.parts.get(i, Parts()), study)]
+        depends_on = tuple(dict.fromkeys((*told, *_depends_on(built, start, flexible, sought=True))))
+        depends_on = depends_on[: settings.most_depended_on]
     else:
         depends_on = _depends_on(built, final, flexible, sought="few_poses" in evidence) if evidence else ()
     if moves > 0.0 and "stamp" not in depends_on:
@@ -345,6 +347,14 @@ def _depends_on(built: Built, one: Explanation, flexible: Flexible, *, sought: b
     elif not out and one.study.ready.kind == "loaded":
         add(("load_case",))  # what is the same in all loaded rows is not there at the reference
     return tuple(out[: SETTINGS.most_depended_on])
+
+
+def _own_torques(term: Term, parts: Parts, study: Study) -> list[str]:
+    """Torques that a law of the gears goes with: of the axes in which the session proves it, whichever law it is."""
+    if term.effect.family is not Alike.TORQUE_LAW:
+        return []
+    axes = {p.group: p.axis for p in term.effect.parameters(study.ready) if p.axis is not None}
+    return [f"tau_{axes[group] + 1}" for group in parts.proven if group in axes]
 
 
 def p_value(log_evidence: float) -> float:

@@ -198,7 +198,7 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
     for choice in choices([terms[i].effect for i in system.owner], [p.level for p in system.parameters]):
         soft = _softness(bench, block, follows)
         tried = np.where(choice.of, choice.times, times)
-        widths = soft * np.array([_beside_softening(own * t, system.parameters, system.scale) for t in tried])
+        widths = np.array([_beside_softening(soft * own * t, system.parameters, system.scale) for t in tried])
         log_evidence = bench.evidence_over_widths(block, widths) + choice.log_odds
         best = int(np.argmax(log_evidence))
         times, block = tried[best], replace(block, width=widths[best])
@@ -208,8 +208,8 @@ def study_of(observation: Observation, terms: Sequence[Term]) -> Study:
             block = replace(block, width=np.where(choice.of, level / FORM_LEVELS[best], 1.0) * block.width)
     own = own * times
     for _ in range(ROUNDS if follows else 0):  # the springs depend a little on what goes with them
-        narrow = _beside_softening(own, system.parameters, system.scale)
-        block = replace(block, width=_softness(bench, block, follows) * narrow)
+        soft = _softness(bench, block, follows)
+        block = replace(block, width=_beside_softening(soft * own, system.parameters, system.scale))
     width = block.width
     result = fit(first.terms, observation, prior_width=width, settled=NEARLY, start=replace(first, system=system))
     system = result.system

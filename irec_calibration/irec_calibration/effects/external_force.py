@@ -13,7 +13,9 @@ from .base import Effect, Parameter
 from .hoses import (
     AT_FLANGE,
     AXES,
+    CELL,
     FOREARM,
+    OF_CELL,
     OF_HOSE,
     OF_PLACE,
     PLACE,
@@ -21,8 +23,11 @@ from .hoses import (
     drawn,
     forearm,
     has_pack,
+    moored,
+    of_moored_hose,
     of_place,
     of_taut_hose,
+    stands_elsewhere,
     taut,
     to_place,
     turning,
@@ -53,8 +58,9 @@ class ExternalForce(Effect):
         "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
         "wrist axis, or with the first where it comes from the cell; along axes of tool0, turning with a wrist axis, where it is "
         "fixed to a link of the wrist; between forearm and flange, where a dress pack that is fixed to both pulls them together "
-        "and bends the wrist alone, with a constant force, or always, as a hose that is slack up to its length: then the joint "
-        "angles of reference and load case make the difference; and a torque, since it does not pull at the TCP. "
+        "and bends the wrist alone, with a constant force, or always, as a hose that is slack up to its length, or between "
+        "the cell and a point of the tool, always and as a spring: then the joint angles of reference and load case make the "
+        "difference; and a torque, since it does not pull at the TCP. "
         "Missing, the residual is there whatever the process force and depends on the pose only. In a loaded session a force "
         "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload, or "
         "at the wrist a forearm, of another mass."
@@ -97,6 +103,7 @@ class ExternalForce(Effect):
             ),
             *(pull(f"f_{d}_pack", "between forearm and flange") for d in FOREARM if has_pack(scene)),
             *(of_place(scene) if scene.kind == "loaded" else ()),
+            *(of_moored_hose(scene) if _has_moored(scene) else ()),
             *(of_taut_hose(scene) if has_pack(scene) else ()),
         )
 
@@ -110,35 +117,37 @@ class ExternalForce(Effect):
             return np.zeros((len(scene), 3, len(self.parameters(scene))))
         on_arm, pack = wrenches(scene)
         of_pack = np.zeros((len(scene), 3, pack.shape[2])) if scene.elastic.of_wrist is None else scene.elastic.of_wrist @ pack
-        place, hose = _shaped(theta, on_arm.shape[2] + pack.shape[2], scene)
-        by_place, by_hose = scene.elastic.compliance @ to_place(scene, place), taut(scene, hose)
+        place, cell, hose = _shaped(theta, on_arm.shape[2] + pack.shape[2], scene)
+        by_place = scene.elastic.compliance @ np.concatenate([to_place(scene, place), moored(scene, cell)], axis=2)
+        by_hose = taut(scene, hose)
         by_hose = np.zeros((len(scene), 3, len(hose))) if scene.elastic.of_wrist is None else scene.elastic.of_wrist @ by_hose
         return np.concatenate([scene.elastic.compliance @ on_arm, of_pack, by_place, by_hose], axis=2)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
-        found = _weight_of_another_mass(values, scene)
-        if found is None:
+        found = _weights_of_other_masses(values, scene)
+        if not found:
             return _pushes(values, scene)
-        along, mass, at_wrist = found
-        if at_wrist:
-            return (
-                f"a constant force along gravity at the wrist, {along:.3g} N, is no hose but a forearm that is {mass:+.3g} kg"
-                " from what the robot description states; check its masses, and what is mounted there"
-            )
-        return (
-            f"a constant force along gravity, {along:.3g} N, is no hose but a payload that is {mass:+.3g} kg from what the"
-            " session states; check payload.mass"
-        )
+        said = [
+            f"a constant force along gravity{' at the wrist' if at_wrist else ''}, {along:.3g} N, is no hose but "
+            f"{'a forearm' if at_wrist else 'a payload'} that is {mass:+.3g} kg from what "
+            + ("the robot description states; check its masses, and what is mounted there" if at_wrist else
+               "the session states; check payload.mass")
+            for along, mass, at_wrist in found
+        ]  # fmt: skip
+        return " and ".join(said)
 
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
-        found = _weight_of_another_mass({name: (value, 0.0) for name, value in values.items()}, scene)
+        found = _weights_of_other_masses({name: (value, 0.0) for name, value in values.items()}, scene)
         carried = float(scene.arm.robot.moved_masses.sum()) + (scene.gravity.payload.mass if scene.gravity.payload else 0.0)
-        return found is not None and abs(found[1]) <= USUAL_MASS * carried
+        return bool(found) and sum(abs(mass) for _, mass, _ in found) <= USUAL_MASS * carried
 
     def where_to_look(self, values: Mapping[str, float], proven: Sequence[str]) -> str:
         look = "in base_link; look what hangs or is fixed there"
         if TAUT in proven:  # how long it is can't be told from where it is tied
             return "a hose between forearm and flange comes tight in some poses; look how it is laid"
+        if CELL in proven:
+            place = _point(values.get(f"from_{a}", 0.0) for a in AXES)
+            return f"a hose pulls with and without the process towards about ({place}) m {look}"
         constant, k = np.array([values.get(f"f_{a}", 0.0) for a in AXES]), values.get("k", 0.0)
         at = [values[f"h_{a}"] for a in AXES if f"h_{a}" in values]
         if PLACE in proven and len(at) < len(AXES):
@@ -159,7 +168,9 @@ class ExternalForce(Effect):
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
         on_arm, pack = _by_values(scene, theta)
-        _, hose = _shaped(theta, 0, scene)
+        _, cell, hose = _shaped(theta, 0, scene)
+        if cell[:2].any():
+            on_arm = on_arm + moored(scene, cell)[:, :, :2] @ cell[:2]
         if hose[:1].any():
             pack = pack + taut(scene, hose)[:, :, 0] * hose[0]
         out: Array = np.einsum("nij...,nj->ni...", change.compliance, on_arm)
@@ -172,8 +183,8 @@ class ExternalForce(Effect):
         return np.asarray(on_arm + pack * (np.arange(scene.n_joints) >= scene.wrist[0]))
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
-        forces = [v for p, v in zip(self.parameters(scene), theta, strict=True) if not p.grid and p.group != TAUT]
-        if has_pack(scene) and theta[-OF_HOSE] and not any(forces):
+        forces = [v for p, v in zip(self.parameters(scene), theta, strict=True) if not p.grid and p.group not in (TAUT, CELL)]
+        if not any(forces):
             return LeftOut("is a hose that pulls without the process too, and goes with the joint angles alone")
         return _Pull(theta, scene)
 
@@ -187,32 +198,44 @@ def _point(p: Iterable[float]) -> str:
     return ", ".join(f"{v:.1f}" for v in p)
 
 
-def _weight_of_another_mass(values: Mapping[str, tuple[float, float]], scene: Scene) -> tuple[float, float, bool] | None:
-    """A constant force along gravity in an absolute session, N, the mass that it is, kg, and whether it is at the wrist; or None.
+def _weights_of_other_masses(values: Mapping[str, tuple[float, float]], scene: Scene) -> list[tuple[float, float, bool]]:
+    """Of a pull in an absolute session that is nothing but constant forces along gravity, at the TCP, at the wrist or at both:
+    each, N, the mass that it is, kg, and whether it is at the wrist; else nothing. A small torque about the TCP goes with it:
+    that mass sits beside it.
 
     Args:
         values: parameter -> value and standard error.
     """
     at_tcp, at_wrist = [f"f_{a}" for a in AXES], [f"f_{a}_wrist" for a in AXES]
-    constant = at_wrist if at_wrist[0] in values else at_tcp
-    if scene.kind != "absolute" or set(values) != set(constant):
-        return None
-    force, errors = np.array([values[n] for n in constant]).T
+    there = [names for names in (at_tcp, at_wrist) if names[0] in values]
+    beside = {f"m_{a}_tool" for a in AXES} & set(values)
+    if scene.kind != "absolute" or set(values) - beside != {n for names in there for n in names}:
+        return []
     g = float(np.linalg.norm(scene.gravity_in_base))
     down = scene.gravity_in_base / max(g, 1e-9)
-    along = float(force @ down)
-    if np.any(np.abs(force - along * down) > np.maximum(ACROSS * errors, ACROSS_SHARE * abs(along))) or not along:
-        return None
-    return along, along / max(g, 1e-9), constant is at_wrist
+    out = []
+    for names in there:
+        force, errors = np.array([values[n] for n in names]).T
+        along = float(force @ down)
+        if np.any(np.abs(force - along * down) > np.maximum(ACROSS * errors, ACROSS_SHARE * abs(along))) or not along:
+            return []
+        out.append((along, along / max(g, 1e-9), names is at_wrist))
+    torque = float(np.linalg.norm([values[n][0] for n in beside]))
+    return out if torque <= AT_FLANGE * sum(abs(along) for along, _, _ in out) else []
 
 
 def _pushes(values: Mapping[str, tuple[float, float]], scene: Scene) -> str:
     """Why a pull towards a place is none: over the session its mean is a push; or an empty string."""
-    t, k, *place = (values.get(n, (0.0, 0.0))[0] for n in ("t", "k_place", *(f"h_{a}" for a in AXES)))
-    if t >= 0.0:
-        return ""
-    mean = t + k * float(np.linalg.norm(np.array(place) - scene.p_tcp, axis=1).mean())
-    return "" if mean >= 0.0 else f"it would push with {-mean:.3g} N from ({_point(place)}) m in base_link, and no hose does"
+    for tension, stiffness, place in (("t", "k_place", "h"), ("t_cell", "k_cell", "from")):
+        t, k, *towards = (values.get(n, (0.0, 0.0))[0] for n in (tension, stiffness, *(f"{place}_{a}" for a in AXES)))
+        tied = np.array([values.get(f"at_{a}", (0.0, 0.0))[0] for a in AXES]) if tension == "t_cell" else np.zeros(len(AXES))
+        if t >= 0.0:
+            continue
+        way = np.array(towards) - scene.p_tcp - scene.kin.R_tool @ tied
+        mean = t + k * float(np.linalg.norm(way, axis=1).mean())
+        if mean < 0.0:
+            return f"it would push with {-mean:.3g} N from ({_point(towards)}) m in base_link, and no hose does"
+    return ""
 
 
 def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
@@ -220,17 +243,29 @@ def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
     and flange."""
     on_arm, pack = wrenches(scene)
     of_arm, end = on_arm.shape[2], on_arm.shape[2] + pack.shape[2]
-    place, _ = _shaped(theta, end, scene)
+    place, _, _ = _shaped(theta, end, scene)
     out, on_flange = on_arm @ theta[:of_arm], pack @ theta[of_arm:end]
     if place[:3].any():
         out += to_place(scene, place)[:, :, :3] @ place[:3]
     return out, on_flange
 
 
-def _shaped(theta: Array, first: int, scene: Scene) -> tuple[Array, Array]:
-    """Values of the pull towards a place, (6,), and of a hose between forearm and flange, (8,), or none of them, (0,)."""
+def _has_moored(scene: Scene) -> bool:
+    """`stands_elsewhere`, asked once of each session: fits ask thousands of times."""
+    kept: dict[str, bool] = scene.view.kept
+    return kept["moored"] if "moored" in kept else kept.setdefault("moored", stands_elsewhere(scene))
+
+
+def _shaped(theta: Array, first: int, scene: Scene) -> tuple[Array, Array, Array]:
+    """Values of the pull towards a place, (6,), of a hose from the cell, (8,), and of one between forearm and flange, (8,); or
+    none of them, (0,).
+
+    Args:
+        first: where the first of these begin; 0 where only the others are asked for.
+    """
     end = len(theta) - OF_HOSE * has_pack(scene)
-    return theta[first:end], theta[end:]
+    cell = end - OF_CELL * _has_moored(scene)
+    return theta[first:cell], theta[cell:end], theta[end:]
 
 
 class _Pull(Pull):
@@ -244,7 +279,7 @@ class _Pull(Pull):
         last = end + 10 + 6 * len(self._turning_in_tool)
         pack = last + 3 * has_pack(scene)
         self._by_angle_in_tool, self._pack = theta[end + 10 : last].reshape(-1, 3), theta[last:pack]
-        towards, _ = _shaped(theta, pack, scene)  # a hose that always pulls does so without the process too
+        towards, _, _ = _shaped(theta, pack, scene)  # a hose that always pulls does so without the process too
         towards = towards if len(towards) else np.zeros(OF_PLACE)
         self._tension, self._tension_wrist, self._k_place = (float(v) for v in towards[:3])
         self._place = towards[3:]

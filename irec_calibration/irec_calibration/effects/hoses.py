@@ -23,6 +23,14 @@ TAUT = "of a hose between forearm and flange"  # tied to both, slack where it is
 OF_HOSE = 8  # parameters of it, the last ones
 LENGTHS = (0.1, 0.4, 0.7)  # shares of poses in which such a hose is slack
 ASIDE = (-0.2, 0.0, 0.2)  # of the forearm, by which it is tied beside the elbow
+CELL = "of a hose from the cell that always pulls"  # at the references too, where the arm stands otherwise
+OF_CELL = 8  # parameters of it
+OVERHEAD = (-0.5, 0.5)  # of the reach in each direction, about a place half of it above base_link
+TIED = (-0.2, 0.2)  # m from the TCP, across tool0
+FARTHEST_TIED = 0.6  # m, along each axis
+# m and rad, RMS, by which the tool stands otherwise at the references where a hose that always pulls shows: chosen, beyond any
+# approach; what less would show of it is as small as what all else leaves
+ELSEWHERE_M, ELSEWHERE_RAD = 0.04, 0.1
 AT_FLANGE = 0.15  # m from the TCP; about where a head carries its hoses
 TIGHTENS = 0.02  # m, travel over which a hose that sags comes tight
 NEAREST = 0.05  # m; nearer to its place than that a pull has no direction
@@ -87,6 +95,33 @@ def to_place(scene: Scene, theta: Array) -> Array:
     return out * scene.rows.under_load[:, None, None]
 
 
+def moored(scene: Scene, theta: Array) -> Array:
+    """Wrench in tool0 of a hose between the cell and the tool, by each of its parameters, (n, 6, 8).
+
+    It pulls in each row by t + k way. What the process causes (`View.measured` is False) is what the pull has changed by since
+    the reference.
+
+    Args:
+        theta: (t_cell, k_cell, from_x, from_y, from_z, at_x, at_y, at_z), or empty: (n, 6, 0) then.
+    """
+    if not len(theta):
+        return np.zeros((len(scene), 6, 0))
+    (t, k), R_tool = theta[:2], scene.kin.R_tool
+    tied = R_tool @ theta[5:]
+    way = theta[2:5] - scene.p_tcp - tied
+    length = np.maximum(np.linalg.norm(way, axis=1), NEAREST)[:, None]
+    along = way / length
+    by_way = (t / length + k)[:, :, None] * np.eye(3) - (t / length)[:, :, None] * along[:, :, None] * along[:, None, :]
+    force = np.concatenate([along[:, :, None], way[:, :, None], by_way, -by_way @ R_tool], axis=2)
+    pull = t * along + k * way
+    if not scene.view.measured:
+        force, pull = scene.change(force), scene.change(pull)
+    moment = np.swapaxes(np.cross(tied[:, None], np.swapaxes(force, 1, 2)), 1, 2)
+    moment[:, :, 5:] += np.swapaxes(np.cross(np.swapaxes(R_tool, 1, 2), pull[:, None]), 1, 2)
+    back = np.swapaxes(R_tool, 1, 2)
+    return np.concatenate([back @ force, back @ moment], axis=1)
+
+
 def taut(scene: Scene, theta: Array) -> Array:
     """Wrench in tool0 on the flange of a hose that is tied to it and to the forearm, by each of its parameters, (n, 6, 8).
 
@@ -148,6 +183,17 @@ def has_pack(scene: Scene) -> bool:
     return scene.kind == "loaded" and scene.wrist[0] > 0
 
 
+def stands_elsewhere(scene: Scene) -> bool:
+    """Whether the tool stands so much otherwise at the references that a hose from the cell shows which always pulls."""
+    if scene.kind != "loaded" or not scene.rows.under_load.any():
+        return False
+    moved = np.linalg.norm(scene.change(scene.p_tcp), axis=1)[scene.rows.under_load > 0]
+    R_tool = scene.kin.R_tool
+    cosine = 0.5 * (np.einsum("nij,nij->n", R_tool, R_tool[scene.reference]) - 1.0)
+    turned = np.arccos(np.clip(cosine, -1.0, 1.0))[scene.rows.under_load > 0]
+    return bool(np.sqrt(np.mean(moved**2)) > ELSEWHERE_M or np.sqrt(np.mean(turned**2)) > ELSEWHERE_RAD)
+
+
 def forearm(scene: Scene) -> int:
     """The joint that moves the forearm, the last one before the wrist."""
     return max(scene.wrist[0] - 1, 0)
@@ -186,11 +232,36 @@ def of_taut_hose(scene: Scene) -> tuple[Parameter, ...]:
     )
 
 
+def of_moored_hose(scene: Scene) -> tuple[Parameter, ...]:
+    """Tension and stiffness of a hose that is tied to the cell and to the tool, and where."""
+    reach, above = typical_reach(scene), overhead(scene)
+    return (
+        Parameter("t_cell", "N", 20.0, plausible=(-1000.0, 1000.0), group=CELL),
+        Parameter("k_cell", "N/m", 20.0 / reach, 0.0, plausible=(0.0, 2000.0), group=CELL),
+        *(
+            Parameter(
+                f"from_{a}", "m", reach, float(c) - FARTHEST * reach, float(c) + FARTHEST * reach, start=float(c),
+                grid=tuple(float(c) + reach * p for p in OVERHEAD), group=CELL, shapes=CELL,
+            )
+            for a, c in zip(AXES, above, strict=True)
+        ),
+        *(
+            Parameter(f"at_{a}", "m", TIED[1], -FARTHEST_TIED, FARTHEST_TIED, grid=grid, group=CELL, shapes=CELL)
+            for a, grid in zip(AXES, (TIED, TIED, (0.0,)), strict=True)
+        ),
+    )  # fmt: skip
+
+
+def overhead(scene: Scene) -> Array:
+    """A place above base_link, against gravity, by half of the arm's reach, (3,), m."""
+    reach, weight = typical_reach(scene), float(np.linalg.norm(scene.gravity_in_base))
+    return -0.5 * reach * scene.gravity_in_base / weight if weight else np.array([0.0, 0.0, 0.5 * reach])
+
+
 def of_place(scene: Scene) -> tuple[Parameter, ...]:
     """Tensions at the TCP and at the wrist, by how much more the first is for each metre of the way, and the place that they go
     towards. A hose that gets taut has less than none of the first, as far as it is shorter than it is long."""
-    reach, weight = typical_reach(scene), float(np.linalg.norm(scene.gravity_in_base))
-    above = -0.5 * reach * scene.gravity_in_base / weight if weight else np.array([0.0, 0.0, 0.5 * reach])
+    reach, above = typical_reach(scene), overhead(scene)
     return (
         *(Parameter(n, "N", 20.0, low, plausible=(low, 1000.0), group=PLACE) for n, low in (("t", -1000.0), ("t_wrist", 0.0))),
         Parameter("k_place", "N/m", 20.0 / reach, 0.0, plausible=(0.0, 2000.0), group=PLACE),

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ..robot.ratings import rated_torque
+from ..robot.ratings import rated_torque, rating_known
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .joint_backlash import WIDEST
@@ -18,6 +18,10 @@ from .traits import Family
 
 FRACTIONS_OF_RATED = (WIDEST, 0.07, 0.18, 0.45, 1.5)
 PRIOR_WIDTH = 2.0  # multiples of the scale: a soft zone of 5 % of the rated torque winds up as far as play of the same prior
+RANGES_DIFFER = 0.5  # log; chosen: curves of gears of several makes bend at 0.1 to 0.3 of their rated torque
+RANGES_OF_GUESSED = 1.0  # log; the same where the rated torque is a guess, which for an axis without weight is poor
+WIDER = 2.0  # log
+GUESSED_TOO_LARGE = 10.0  # times what a drive is rated for that no weight loads, by the guess
 
 
 class JointStiffening(Effect):
@@ -30,6 +34,7 @@ class JointStiffening(Effect):
         "growing (s = asinh). The compliance never rises with the torque; what is softer over less than 3 % of the rated torque "
         "is play. What such a gear gives way to the weight from no torque on, a session that presses about that torque does not "
         "show: between reference and row the axis may sag by -J_k w_k a_k max|tau_g,k| tanh(tau_g,k / x_0) more, |w_k| <= 1. "
+        "Each gear has a range of its own, x_0 exp(u_k) in the place of x_0. "
         "Missing, the residual is odd and nonlinear in the torque of one axis, shifted by its gravity preload."
     )
     family = Family.TORQUE_LAW
@@ -37,7 +42,7 @@ class JointStiffening(Effect):
     needs = ("load", "weight")
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        scale = typical_compliance(scene.robot)
+        scale, driven = typical_compliance(scene.robot), np.flatnonzero(scene.driven)
         axes = tuple(
             Parameter(
                 f"a_{k + 1}",
@@ -49,79 +54,125 @@ class JointStiffening(Effect):
                 width=PRIOR_WIDTH,
                 axis=int(k),
                 takes_from=f"c_{k + 1}",
+                goes_with=f"c_{k + 1}",
             )
-            for k in np.flatnonzero(scene.driven)
+            for k in driven
         )
         sags = tuple(
             Parameter(f"w_{k + 1}", "1", 1.0, -1.0, 1.0, group=f"axis {k + 1}", width=0.5, axis=int(k), share_of=f"a_{k + 1}")
-            for k in np.flatnonzero(scene.driven if scene.kind == "loaded" else [])
+            for k in (driven if scene.kind == "loaded" else [])
+        )
+        stated = rating_known(scene.robot)
+        ranges = tuple(
+            Parameter(
+                f"u_{k + 1}",
+                "1",
+                1.0,
+                -WIDER,
+                WIDER,
+                group=f"axis {k + 1}",
+                width=RANGES_DIFFER if stated[k] else RANGES_OF_GUESSED,
+                axis=int(k),
+                share_of=f"a_{k + 1}",
+            )
+            for k in driven
         )
         return (
             *axes,
             *sags,
+            *ranges,
             Parameter("x_0", "share of rated torque", 0.15, WIDEST, 3.0, start=0.15, grid=FRACTIONS_OF_RATED),
             Parameter("slow", "0, 1/2 or 1", 1.0, 0.0, 1.0, start=0.0, grid=(0.0, 0.5, 1.0), kinds=True),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        a, w = _of_axes(scene, theta)
-        return self._columns(scene, *theta[-2:]) @ a - _sag(scene, theta[-2])[:, :, : len(w)] @ (w * a[: len(w)])
+        a, w, _ = _of_axes(scene, theta)
+        bent, sag = _turned(scene, theta)
+        return np.asarray(scene.J[:, :, scene.driven] @ (a * bent - w * a * sag)[:, :, None])[:, :, 0]
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        a, w = _of_axes(scene, theta)
-        columns, sag = self._columns(scene, *theta[-2:]), _sag(scene, theta[-2])[:, :, : len(w)]
-        columns[:, :, : len(w)] -= sag * w
-        h = 1e-3 * np.eye(len(theta))[-2]
-        by_break = (self.displacement(scene, theta + h) - self.displacement(scene, theta - h)) / 2e-3
-        return np.concatenate([columns, -sag * a[: len(w)], by_break[:, :, None], np.zeros((len(scene), 3, 1))], axis=2)
+        a, w, u = _of_axes(scene, theta)
+        J, (bent, sag), h = scene.J[:, :, scene.driven], _turned(scene, theta), 1e-4
+        step = np.zeros_like(theta)
+        step[-2 - len(u) : -2] = h
+        (bent_more, sag_more), (bent_less, sag_less) = _turned(scene, theta + step), _turned(scene, theta - step)
+        by_range = (a * (bent_more - bent_less) - w * a * (sag_more - sag_less)) / (2.0 * h)
+        turned = [bent - w * sag, *([-a * sag] if scene.kind == "loaded" else []), by_range]
+        columns = [J * t[:, None, :] for t in (*turned, by_range / theta[-2])]
+        columns[-1] = columns[-1].sum(axis=2, keepdims=True)
+        return np.concatenate([*columns, np.zeros((len(scene), 3, 1))], axis=2)
 
     def by_torque(self, scene: Scene, theta: Array, change: Array, read: bool) -> Array:
-        a = np.zeros(scene.n_joints)
-        a[scene.driven] = _of_axes(scene, theta)[0]
-        saturates = _slope(theta[-1])((scene.tau_acting + scene.tau_gravity) / (theta[-2] * rated_torque(scene.robot)))
+        a, x_0 = np.zeros(scene.n_joints), np.ones(scene.n_joints)
+        a[scene.driven], x_0[scene.driven] = _of_axes(scene, theta)[0], _x_0(scene, theta)
+        saturates = _slope(theta[-1])((scene.tau_acting + scene.tau_gravity) / x_0)
         slope = a * (float(read) - saturates)  # springs answer to what is read, by the loaded gear to what is not
         return np.asarray((scene.J * slope[:, None, :]) @ change)
 
-    def _columns(self, scene: Scene, fraction: float, slow: float) -> Array:
-        x_0 = fraction * rated_torque(scene.robot)
-        saturating = saturation(slow)
-
-        # what answers to a hose answers by the loaded gear already, which is the linear part
-        before, acting = scene.preload(), scene.tau_acting + scene.tau_gravity
-        bent = scene.tau + scene.tau_gravity - before - x_0 * (saturating(acting / x_0) - saturating(before / x_0))
-        return (scene.J * bent[:, None, :])[:, :, scene.driven]
+    def rather(self, values: Mapping[str, float], compliance: Mapping[str, float], scene: Scene) -> str:
+        if rating_known(scene.robot).all():
+            return ""
+        # where no limit is stated, what is soft over 3 % of the largest torque that the session shows is play for certain
+        theta = np.array([values.get(p.name, p.start) for p in self.parameters(scene)])
+        soft = _x_0(scene, theta) * _ends_at(theta[-1])
+        wide = may_be_wide(scene, np.flatnonzero(scene.driven), _of_axes(scene, theta)[0], soft, WIDEST)
+        return "" if wide.any() else "joint_backlash"
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         driven = np.flatnonzero(scene.driven)
-        soft = theta[-2] * rated_torque(scene.robot)[driven]
-        wide = may_be_wide(scene, driven, _of_axes(scene, theta)[0], soft, WIDEST).all()
-        return "" if wide and not at_border(theta[-2], WIDEST) else "joint_backlash"
+        a, soft = _of_axes(scene, theta)[0], _x_0(scene, theta) * _ends_at(theta[-1])
+        wide = may_be_wide(scene, driven, a, soft, WIDEST).all()
+        stated = (a != 0.0) & rating_known(scene.robot)[driven]
+        shares = (soft / rated_torque(scene.robot)[driven])[stated]
+        return "" if wide and not any(at_border(s, WIDEST) for s in shares) else "joint_backlash"
 
     def reached(self, scene: Scene, theta: Array) -> BoolArray:
-        bent = comes_near_zero(scene, theta[-2] * rated_torque(scene.robot))[scene.driven]
+        x_0 = np.zeros(scene.n_joints)
+        x_0[scene.driven] = _x_0(scene, theta)
+        bent = comes_near_zero(scene, x_0)[scene.driven]
         return np.concatenate([bent, np.ones(len(theta) - len(bent), dtype=bool)])
 
     def live(self, scene: Scene, theta: Array) -> LiveForm:
         return _Stiffening(scene, theta)
 
 
-def _of_axes(scene: Scene, theta: Array) -> tuple[Array, Array]:
-    """a_k and w_k of the driven axes; none of the latter in an absolute session, which measures all that an arm sags."""
+def _of_axes(scene: Scene, theta: Array) -> tuple[Array, Array, Array]:
+    """a_k, w_k and u_k of the driven axes; w_k is 0 in an absolute session, which measures all that an arm sags."""
     n = int(np.count_nonzero(scene.driven))
-    return theta[:n], theta[n:-2]
+    return theta[:n], theta[n : 2 * n] if scene.kind == "loaded" else np.zeros(n), theta[-2 - n : -2]
 
 
-def _sag(scene: Scene, fraction: float) -> Array:
-    """Displacement per compliance, (n, 3, driven), m per rad/(N m), of gears that wind up by the largest torque of the weight in
-    these rows; 0 where nobody compares with a reference."""
-    most = np.abs(scene.tau_gravity).max(axis=0, initial=0.0) * (scene.view.sags > 0.0)
-    wound = most * np.tanh(scene.tau_gravity / (fraction * rated_torque(scene.robot)))
-    return np.asarray((scene.J * wound[:, None, :])[:, :, scene.driven])
+def _x_0(scene: Scene, theta: Array) -> Array:
+    """Range of torque over which the gear of each driven axis is soft, (driven,), N m."""
+    share = np.maximum(theta[-2] * np.exp(_of_axes(scene, theta)[2]), _least_share(scene)[scene.driven])
+    return np.asarray(share * rated_torque(scene.robot)[scene.driven])
+
+
+def _least_share(scene: Scene) -> Array:
+    """Share of the rated torque over which play ends, (k,): of a guess a tenth, which may be ten times too large."""
+    return np.where(rating_known(scene.robot), WIDEST, WIDEST / GUESSED_TOO_LARGE)
+
+
+def _turned(scene: Scene, theta: Array) -> tuple[Array, Array]:
+    """Torques, N m: what the soft part of each driven gear has not turned by since the reference, for its compliance, and what
+    it winds up by under the largest torque of the weight in these rows where nobody compares with a reference; (n, driven)."""
+    x_0, s, driven = _x_0(scene, theta), saturation(theta[-1]), scene.driven
+    gravity = scene.tau_gravity[:, driven]
+    before, acting = scene.preload()[:, driven], scene.tau_acting[:, driven] + gravity
+    # what answers to a hose answers by the loaded gear already, which is the linear part
+    bent = scene.tau[:, driven] + gravity - before - x_0 * (s(acting / x_0) - s(before / x_0))
+    most = np.abs(gravity).max(axis=0, initial=0.0) * (scene.view.sags > 0.0)
+    return bent, most * np.tanh(gravity / x_0)
 
 
 def saturation(slow: float) -> Callable[[Array], Array]:
     """s: how the soft part of a gear's deflection ends with x / x_0, from soon (slow 0) to never (1)."""
     return np.tanh if slow < 0.25 else _cusp if slow <= 0.75 else np.arcsinh
+
+
+def _ends_at(slow: float) -> float:
+    """Where nine tenths of the soft part of a gear's deflection are taken up, over where they are for tanh."""
+    return 1.0 if slow < 0.25 else np.log(10.0) / np.arctanh(0.9) if slow <= 0.75 else np.inf
 
 
 def _slope(slow: float) -> Callable[[Array], Array]:
@@ -143,7 +194,8 @@ class _Stiffening(ColumnLaw):
         self.columns = drives(scene.n_joints)
         self._a = np.zeros(scene.n_joints)
         self._a[scene.driven] = _of_axes(scene, theta)[0]
-        self._x_0 = theta[-2] * rated_torque(scene.robot)
+        self._x_0 = np.ones(scene.n_joints)
+        self._x_0[scene.driven] = _x_0(scene, theta)
         self._s = saturation(theta[-1])
         self.springs = Springs(tuple((c, c, float(a)) for c, a in zip(self.columns, self._a, strict=True)))
 

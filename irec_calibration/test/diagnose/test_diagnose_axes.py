@@ -71,6 +71,12 @@ def axis_4_softer_in_four_steps(scene: Scene) -> Array:
     return sum((gear(scene, 4, until, more) for until, more in steps), np.zeros((len(scene), 3)))
 
 
+def axis_4_softer_in_two_steps(scene: Scene) -> Array:
+    # steps end at 2 and 4 % of the rated torque: play ends between them
+    steps = ((50.0, 5e-6), (100.0, 2e-6))
+    return sum((gear(scene, 4, until, more) for until, more in steps), np.zeros((len(scene), 3)))
+
+
 def axis_3_stiffens_a_little(scene: Scene) -> Array:
     torque, gravity = scene.tau[:, 2], scene.tau_gravity[:, 2]
     return turned(scene, 3, -1.6e-14 * ((torque + gravity) ** 3 - gravity**3))
@@ -154,7 +160,7 @@ def test_the_result_file_tells_what_is_proven_from_what_is_not() -> None:
 def test_the_improved_model_has_parameters_of_the_proven_axis_only(tmp_path) -> None:
     model = load_model(save_model(ladder().model, tmp_path / "m.yaml"))
     term = next(t for t in model.terms if t.effect.id == "joint_stiffening")
-    assert set(term.estimates) == {"a_3", "x_0", "slow"}
+    assert set(term.estimates) == {"a_3", "w_3", "u_3", "x_0", "slow"}
     assert term.estimates["a_3"].se > 0.0
     parts = next(h["parts"] for h in model.history if "joint_stiffening" in h.get("parts", {}))
     assert parts["joint_stiffening"]["proven"] == ["axis 3"]

@@ -10,7 +10,7 @@ import pytest
 import synthetic
 from irec_calibration.diagnose import diagnose, improve
 from irec_calibration.effects import find_effect
-from irec_calibration.effects.hoses import TAUT, TIGHTENS, stretched
+from irec_calibration.effects.hoses import CELL, TAUT, TIGHTENS, stretched
 from irec_calibration.effects.live import LeftOut, Pull
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
@@ -140,6 +140,71 @@ def test_such_a_hose_is_named_and_predicts_poses_that_it_was_not_fitted_to() -> 
     assert ladder.rungs[-1].cv_rms_m < 0.4 * ladder.rungs[0].cv_rms_m
 
 
+# a hose from a place in the cell, in base_link, m, to beside the flange: it is 0.4 m long without a pull
+PLACE_IN_CELL, OF_CELL, LENGTH = np.array([0.8, -0.7, 2.2]), 400.0, 0.4
+
+
+def from_the_cell(scene: Scene) -> tuple[Array, Array]:
+    """Where it is tied to the tool, and its pull there, in base_link, (n, 3) each, m and N."""
+    at = scene.p_tcp + scene.kin.R_tool @ AT_TOOL
+    way = PLACE_IN_CELL - at
+    return at, OF_CELL * (1.0 - LENGTH / np.linalg.norm(way, axis=1, keepdims=True)) * way
+
+
+def bends_the_arm(scene: Scene, at: Array, force: Array) -> Array:
+    """What six gears make of a force on the tool, (n, 3), m."""
+    kin, out = scene.kin, np.zeros((len(scene), 3))
+    for k in range(6):
+        torque = np.einsum("ni,ni->n", kin.axis[:, k], np.cross(at - kin.origin[:, k], force))
+        out += (SOFT[k] * torque)[:, None] * np.cross(kin.axis[:, k], scene.p_observed - kin.origin[:, k])
+    return out
+
+
+def of_moored_hose() -> list[Term]:
+    values = {"t_cell": -OF_CELL * LENGTH, "k_cell": OF_CELL}
+    values |= {f"from_{a}": float(v) for a, v in zip("xyz", PLACE_IN_CELL, strict=True)}
+    values |= {f"at_{a}": float(v) for a, v in zip("xyz", AT_TOOL, strict=True)}
+    return [*springs(), Term(find_effect("external_force"), {n: Estimate(v) for n, v in values.items()})]
+
+
+def test_a_hose_from_the_cell_pulls_with_and_without_the_process() -> None:
+    scene = scene_of(synthetic.session(poses=12, **TILTED))
+    moved = total_displacement(of_moored_hose(), scene) - total_displacement(springs(), scene)
+    assert np.abs(moved[scene.load_case == 0]).max() > 1e-5, "no example"
+    np.testing.assert_allclose(moved, bends_the_arm(scene, *from_the_cell(scene)), atol=1e-12)
+
+
+def test_the_process_causes_only_what_a_hose_from_the_cell_pulls_otherwise_than_at_the_reference() -> None:
+    scene = scene_of(synthetic.session(poses=12, **TILTED), observe="tcp")
+    moved = scene.change(total_displacement(of_moored_hose(), scene) - total_displacement(springs(), scene))
+    at, force = from_the_cell(scene)
+    np.testing.assert_allclose(moved, bends_the_arm(scene, at, scene.change(force)), atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_hose_from_the_cell_is_named_and_the_place_that_it_comes_from_is_told() -> None:
+    verdict = diagnose(
+        synthetic.session(seed=3, extra=lambda scene: bends_the_arm(scene, *from_the_cell(scene)), **TILTED)
+    ).verdict
+    assert verdict.effects == ("external_force",), verdict.text
+    assert verdict.parts["external_force"].proven == (CELL,), verdict.text
+    told = verdict.where["external_force"].split("about (")[1].split(")")[0]
+    np.testing.assert_allclose([float(v) for v in told.split(",")], PLACE_IN_CELL, atol=0.25)
+
+
+@pytest.mark.parametrize(("length", "pushes"), [(LENGTH, False), (5.0, True)])
+def test_a_hose_from_the_cell_that_would_push_is_none(length: float, pushes: bool) -> None:
+    scene = scene_of(synthetic.session(poses=6, **TILTED))
+    values = {n: (e.value, 0.0) for n, e in of_moored_hose()[-1].estimates.items()} | {"t_cell": (-OF_CELL * length, 0.0)}
+    assert ("would push" in find_effect("external_force").why_impossible(values, {}, scene)) is pushes
+
+
+def test_the_live_correction_leaves_a_hose_from_the_cell_out() -> None:
+    scene = scene_of(synthetic.session(poses=6, **TILTED))
+    term = of_moored_hose()[-1]
+    assert isinstance(term.effect.live(scene, term.theta(term.effect.parameters(scene))), LeftOut)
+
+
 def test_the_live_correction_leaves_such_a_hose_out_and_says_why() -> None:
     scene = scene_of(synthetic.session(poses=6, **TILTED))
     term = of_taut_hose(1.0)[-1]
@@ -160,3 +225,9 @@ def test_it_is_named_and_no_other_place_of_it_is_proven() -> None:
     verdict = diagnose(synthetic.session(seed=3, extra=moves_the_tool)).verdict
     assert verdict.effects == ("external_force",), verdict.text
     assert set(verdict.parts["external_force"].proven) <= {"with the tool", "with the tool and axis 6"}, verdict.text
+
+
+def test_a_hose_from_the_cell_is_not_asked_for_where_the_tool_stands_at_the_references_as_under_load() -> None:
+    effect = find_effect("external_force")
+    asked = [{p.group for p in effect.parameters(scene_of(s))} for s in (synthetic.session(6, **TILTED), synthetic.session(6))]
+    assert [CELL in groups for groups in asked] == [True, False]

@@ -114,6 +114,11 @@ def test_a_constant_force_along_gravity_is_refused_with_the_mass_that_it_stands_
     on_forearm = {f"{n}_wrist": v for n, v in down.items()}
     assert "a forearm that is +2 kg" in effect.why_impossible(on_forearm, {}, scene)
     assert not effect.why_impossible(on_forearm | {"k_wrist": (20.0, 1.0)}, {}, scene)
+    beside = {"m_x_tool": (0.0, 0.1), "m_y_tool": (1.5, 0.1), "m_z_tool": (0.0, 0.1)}
+    assert "payload that is +2 kg from" in effect.why_impossible(down | beside, {}, scene)
+    assert not effect.why_impossible(down | beside | {"m_x_tool": (6.0, 0.1)}, {}, scene)
+    both = effect.why_impossible(down | on_forearm, {}, scene)
+    assert "payload that is +2 kg from" in both and "a forearm that is +2 kg" in both
 
 
 @pytest.fixture(scope="module")

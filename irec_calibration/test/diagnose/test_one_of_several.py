@@ -11,14 +11,14 @@ from irec_calibration.diagnose.assessment import assess
 from irec_calibration.diagnose.build import build
 from irec_calibration.diagnose.study import prepare
 from test_diagnose import session
-from test_diagnose_axes import axis_4_softer_in_four_steps
+from test_diagnose_axes import axis_4_softer_in_two_steps
 
 EITHER = ("joint_backlash", "joint_stiffening")
 
 
 @pytest.fixture(scope="module")
 def ladder() -> Ladder:
-    found = improve(session(axis_4_softer_in_four_steps))
+    found = improve(session(axis_4_softer_in_two_steps))
     assert found.before.verdict.one_of == (EITHER,), "the session is no example of two effects that are not told apart any more"
     return found
 
@@ -44,12 +44,12 @@ def test_neither_terminal_nor_report_says_which_of_several_it_is(ladder, tmp_pat
 
     said = in_words(ladder)
     assert "+ joint_backlash or joint_stiffening" in said and "do not tell which" in said and "(no name)" not in said
-    page = write_ladder_report(ladder, session(axis_4_softer_in_four_steps), tmp_path)[0].read_text(encoding="utf-8")
+    page = write_ladder_report(ladder, session(axis_4_softer_in_two_steps), tmp_path)[0].read_text(encoding="utf-8")
     assert "do not tell which it is, joint backlash or joint stiffening" in page
 
 
 def test_a_name_with_a_rival_that_lacks_little_is_one_of_the_two_and_no_name() -> None:
-    measured = session(axis_4_softer_in_four_steps)
+    measured = session(axis_4_softer_in_two_steps)
     study = prepare(measured, start_terms(measured)).to_weigh
     built = build(study)
     alone = assess(study, replace(built, rivals={}), None)

@@ -52,7 +52,7 @@ def test_a_fit_has_it_of_each_axis_that_is_soft_and_of_no_other() -> None:
     observation = observe(session(6, seed=2))
     given = Term(STIFFENING, {"a_3": Estimate(HARDENS), "x_0": Estimate(BREAK), "slow": Estimate(0.0)})
     (whole,) = completed([given], observation)
-    assert set(whole.estimates) == {"a_3", "w_3", "x_0", "slow"}
+    assert set(whole.estimates) == {"a_3", "w_3", "u_3", "x_0", "slow"}
 
 
 def test_a_fit_finds_how_far_a_gear_stands_turned_beside_how_soft_it_is() -> None:
