@@ -9,6 +9,7 @@ import threading
 import time
 
 import numpy as np
+import pytest
 from chain import PERIOD, Q
 from irec_correction.correction import CorrectionSettings
 from irec_correction.rsi.bridge import BridgeSetup, run_bridge
@@ -18,6 +19,7 @@ from irec_correction.rsi.sources import OFFSET_SIZE
 from irec_correction.shared import SharedValues
 from irec_sim.devices.rsi_controller import RobotState, RsiController
 
+pytestmark = pytest.mark.timed  # an answer that is late is acted on by no controller
 STATE = RobotState(Q, np.array([1.5, 0.0, 1.2]), np.zeros(3))
 WAIT = 30.0  # s
 WANTED = 4e-4  # m

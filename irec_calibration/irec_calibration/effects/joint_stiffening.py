@@ -12,7 +12,7 @@ from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .joint_backlash import WIDEST
 from .live import ColumnLaw, LiveForm, Springs, Tick, drives
-from .scales import at_border, comes_near_zero, may_be_wide, typical_compliance
+from .scales import COUNTS, at_border, comes_near_zero, may_be_wide, typical_compliance
 from .scene import Scene
 from .traits import Family
 
@@ -110,13 +110,13 @@ class JointStiffening(Effect):
         return np.asarray((scene.J * slope[:, None, :]) @ change)
 
     def rather(self, values: Mapping[str, float], compliance: Mapping[str, float], scene: Scene) -> str:
-        if rating_known(scene.robot).all():
+        theta = np.array([values.get(p.name, p.start) for p in self.parameters(scene)])
+        driven, a = np.flatnonzero(scene.driven), _of_axes(scene, theta)[0]
+        if rating_known(scene.robot)[driven][np.abs(a) >= COUNTS * np.abs(a).max(initial=1e-300)].any():
             return ""
         # where no limit is stated, what is soft over 3 % of the largest torque that the session shows is play for certain
-        theta = np.array([values.get(p.name, p.start) for p in self.parameters(scene)])
         soft = _x_0(scene, theta) * _ends_at(theta[-1])
-        wide = may_be_wide(scene, np.flatnonzero(scene.driven), _of_axes(scene, theta)[0], soft, WIDEST)
-        return "" if wide.any() else "joint_backlash"
+        return "" if may_be_wide(scene, driven, a, soft, WIDEST).any() else "joint_backlash"
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         driven = np.flatnonzero(scene.driven)

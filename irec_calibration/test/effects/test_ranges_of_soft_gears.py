@@ -80,3 +80,9 @@ def test_a_gear_that_is_soft_over_3_percent_of_what_the_session_shows_is_rather_
     share = share_of_largest * largest / rated_torque(scene.robot)[0]
     values = {"a_1": SOFTER, "x_0": 0.03, "u_1": np.log(share / 0.03), "slow": 0.0}
     assert STIFFENING.rather(values, {}, scene) == rather
+
+
+def test_an_axis_whose_limit_is_stated_is_no_play_though_another_one_has_no_limit() -> None:
+    only_axis_3 = NO_LIMIT.replace('effort="0"', 'effort="7759"', 3).replace('effort="7759"', 'effort="0"', 2)
+    scene = scene_of(replace(session(8), robot=Robot(only_axis_3)))
+    assert STIFFENING.rather({"a_3": SOFTER, "x_0": 0.1, "slow": 0.0}, {}, scene) == ""
