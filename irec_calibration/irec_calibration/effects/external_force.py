@@ -253,7 +253,9 @@ def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
 def _has_moored(scene: Scene) -> bool:
     """`stands_elsewhere`, asked once of each session: fits ask thousands of times."""
     kept: dict[str, bool] = scene.view.kept
-    return kept["moored"] if "moored" in kept else kept.setdefault("moored", stands_elsewhere(scene))
+    if "moored" not in kept:
+        kept["moored"] = stands_elsewhere(scene)
+    return kept["moored"]
 
 
 def _shaped(theta: Array, first: int, scene: Scene) -> tuple[Array, Array, Array]:

@@ -116,10 +116,7 @@ def moored(scene: Scene, theta: Array) -> Array:
     pull = t * along + k * way
     if not scene.view.measured:
         force, pull = scene.change(force), scene.change(pull)
-    moment = np.swapaxes(np.cross(tied[:, None], np.swapaxes(force, 1, 2)), 1, 2)
-    moment[:, :, 5:] += np.swapaxes(np.cross(np.swapaxes(R_tool, 1, 2), pull[:, None]), 1, 2)
-    back = np.swapaxes(R_tool, 1, 2)
-    return np.concatenate([back @ force, back @ moment], axis=1)
+    return _tied_to_tool(R_tool, tied, force, pull)
 
 
 def taut(scene: Scene, theta: Array) -> Array:
@@ -145,8 +142,18 @@ def taut(scene: Scene, theta: Array) -> Array:
     pull = k * longer * along
     if not scene.view.measured:
         force, pull = scene.change(force), scene.change(pull)
-    at = R_tool @ in_tool0  # from the TCP
-    moment = np.swapaxes(np.cross(at[:, None], np.swapaxes(force, 1, 2)), 1, 2)
+    return _tied_to_tool(R_tool, R_tool @ in_tool0, force, pull)
+
+
+def _tied_to_tool(R_tool: Array, tied: Array, force: Array, pull: Array) -> Array:
+    """Wrench in tool0, N and N m, by each of eight parameters of a pull at a point of the tool, the last three of which are where
+    in tool0 that is, (n, 6, 8).
+
+    Args:
+        R_tool: (n, 3, 3); tied: from the TCP to the point, in base_link, (n, 3), m. force: by each, in base_link, (n, 3, 8);
+            pull: itself, in base_link, (n, 3), N.
+    """
+    moment = np.swapaxes(np.cross(tied[:, None], np.swapaxes(force, 1, 2)), 1, 2)
     moment[:, :, 5:] += np.swapaxes(np.cross(np.swapaxes(R_tool, 1, 2), pull[:, None]), 1, 2)
     back = np.swapaxes(R_tool, 1, 2)
     return np.concatenate([back @ force, back @ moment], axis=1)

@@ -20,7 +20,7 @@ FRACTIONS_OF_RATED = (WIDEST, 0.07, 0.18, 0.45, 1.5)
 PRIOR_WIDTH = 2.0  # multiples of the scale: a soft zone of 5 % of the rated torque winds up as far as play of the same prior
 RANGES_DIFFER = 0.5  # log; chosen: curves of gears of several makes bend at 0.1 to 0.3 of their rated torque
 RANGES_OF_GUESSED = 1.0  # log; the same where the rated torque is a guess, which for an axis without weight is poor
-WIDER = 2.0  # log
+WIDER = 2.0  # log; of u_k to either side: a factor of seven
 GUESSED_TOO_LARGE = 10.0  # times what a drive is rated for that no weight loads, by the guess
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -74,13 +75,17 @@ def hose(scene: Scene, slack: float) -> tuple[Array, Array]:
     return at, STIFF * np.maximum(length - slack, 0.0) * way / length
 
 
-def bends_the_wrist(scene: Scene, at: Array, force: Array) -> Array:
-    """What three gears of the wrist make of a force on the flange, (n, 3), m."""
+def bends_the_arm(scene: Scene, at: Array, force: Array, joints: Sequence[int] = range(6)) -> Array:
+    """What gears make of a force on the tool, (n, 3), m."""
     kin, out = scene.kin, np.zeros((len(scene), 3))
-    for k in (3, 4, 5):
+    for k in joints:
         torque = np.einsum("ni,ni->n", kin.axis[:, k], np.cross(at - kin.origin[:, k], force))
         out += (SOFT[k] * torque)[:, None] * np.cross(kin.axis[:, k], scene.p_observed - kin.origin[:, k])
     return out
+
+
+def bends_the_wrist(scene: Scene, at: Array, force: Array) -> Array:
+    return bends_the_arm(scene, at, force, (3, 4, 5))
 
 
 def length_taut_in(share: float, scene: Scene) -> float:
@@ -149,15 +154,6 @@ def from_the_cell(scene: Scene) -> tuple[Array, Array]:
     at = scene.p_tcp + scene.kin.R_tool @ AT_TOOL
     way = PLACE_IN_CELL - at
     return at, OF_CELL * (1.0 - LENGTH / np.linalg.norm(way, axis=1, keepdims=True)) * way
-
-
-def bends_the_arm(scene: Scene, at: Array, force: Array) -> Array:
-    """What six gears make of a force on the tool, (n, 3), m."""
-    kin, out = scene.kin, np.zeros((len(scene), 3))
-    for k in range(6):
-        torque = np.einsum("ni,ni->n", kin.axis[:, k], np.cross(at - kin.origin[:, k], force))
-        out += (SOFT[k] * torque)[:, None] * np.cross(kin.axis[:, k], scene.p_observed - kin.origin[:, k])
-    return out
 
 
 def of_moored_hose() -> list[Term]:

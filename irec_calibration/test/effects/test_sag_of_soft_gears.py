@@ -14,6 +14,7 @@ from irec_calibration.identification.identify import observe
 from irec_calibration.model import EIGHTEEN_DOF, Estimate, Term
 from irec_calibration.robot.ratings import rated_torque
 from synthetic import session
+from test_ranges_of_soft_gears import SOFTER, gears
 
 STIFFENING, AXIS, HARDENS, SHARE, BREAK = find_effect("joint_stiffening"), 2, -5e-7, 0.4, 0.02
 
@@ -57,22 +58,17 @@ def test_a_fit_has_it_of_each_axis_that_is_soft_and_of_no_other() -> None:
 
 def test_a_fit_finds_how_far_a_gear_stands_turned_beside_how_soft_it_is() -> None:
     """2 mrad about axis 3, which the weight turns to one side; without an unknown for it they are a joint zero that is wrong."""
-    softer, turned, fraction = -8e-7, 2e-3, 0.15
+    turned, fraction = 2e-3, 0.15
 
     def gear(scene: Scene) -> np.ndarray:
-        weight, x_0 = scene.tau_gravity[:, AXIS], fraction * rated_torque(scene.robot)[AXIS]
-
-        def bent(tau: np.ndarray) -> np.ndarray:
-            return np.asarray(softer * (tau - x_0 * np.tanh(tau / x_0)))
-
-        angle = bent(scene.tau[:, AXIS] + weight) - bent(weight) + turned * np.tanh(weight / x_0)
-        return np.asarray(scene.J[:, :, AXIS] * angle[:, None])
+        stands = turned * np.tanh(scene.tau_gravity[:, AXIS] / (fraction * rated_torque(scene.robot)[AXIS]))
+        return np.asarray(gears(scene, {AXIS: fraction}) + scene.J[:, :, AXIS] * stands[:, None])
 
     observation = observe(session(31, seed=5, extra=gear, approach=5e-3))
     law = Term(STIFFENING, {f"a_{AXIS + 1}": Estimate(0.0, upper=0.0), "x_0": Estimate(fraction), "slow": Estimate(0.0)})
     fit = study_of(observation, [*(Term(find_effect(i)) for i in EIGHTEEN_DOF), law])
     a, w = (fit.terms[-1].estimates[f"{name}_{AXIS + 1}"] for name in "aw")
     weight = np.abs(observation.scene.tau_gravity[:, AXIS]).max()
-    assert a.value == pytest.approx(softer, abs=4.0 * a.se)
-    assert w.value == pytest.approx(-turned / (softer * weight), abs=4.0 * w.se)
+    assert a.value == pytest.approx(SOFTER, abs=4.0 * a.se)
+    assert w.value == pytest.approx(-turned / (SOFTER * weight), abs=4.0 * w.se)
     assert w.se < 0.1
