@@ -58,12 +58,15 @@ def built_either_way(
 ) -> tuple[Study, Study, Built]:  # fmt: skip
     """As `built_again`; what passes with time and noise that wanders for minutes are told apart by building beside each.
 
-    An absolute session starts without springs. Beside what these leave, noise that wanders may describe a step or a drift as
-    well as anything, and then no evidence is left for them.
+    Beside what a start leaves, that of an absolute session without springs above all, noise that wanders may describe a step, a
+    drift or several causes at once as well as anything, and then no evidence is left for them. A loaded session is asked where
+    nothing was found beside such noise.
     """
     found = built_again(asked, study, check, say)
     wander = found[1].observation.whiten.wander
-    if study.session.kind == "loaded" or wander is None or wander.share <= SETTINGS.wander_to_doubt:
+    if wander is None or wander.share <= SETTINGS.wander_to_doubt:
+        return found
+    if study.session.kind == "loaded" and found[2].final.added:
         return found
     say("building without noise that wanders")
     plain = at_level_beside(replace(study.observation, whiten=replace(study.observation.whiten, wander=None)), asked.terms)

@@ -161,7 +161,8 @@ def assess(
         also = _also_read(lean.term(i), pruned.parts.get(i, Parts()), study)
         if also and also not in (*final.ids, *(n for n, _ in rivals)):
             rivals = (*rivals, (also, 0.0))
-        if usual(final, i) or usual(lean, i):
+        as_everywhere = usual(final, i) or usual(lean, i)
+        if as_everywhere and not cause_if_alone(final, i, noise.inferred_m, beside=True):
             as_usual.append(i)
         elif rivals:
             one_of.append(tuple(n for _, n in sorted([(0.0, i), *((odds, r) for r, odds in rivals)])))

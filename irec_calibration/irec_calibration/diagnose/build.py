@@ -28,6 +28,7 @@ from .settings import SETTINGS, Settings
 from .several import Tried, several_together
 from .standing import all_stand, proven, pruned
 from .study import Study
+from .swapped import as_rather
 from .tries import step, tried_on, two_together, waiting
 
 Look = Callable[[Explanation, Family], "Observation | None"]  # the observation as a model asks to see it, if that is otherwise
@@ -113,7 +114,8 @@ class _Way:
         """
         found = [o for o in self.found if o.effect.id not in fallen]
         while True:
-            self.steps[-1] = with_more_parts(self.steps[-1], self.family, self.check, self.settings)
+            wider = with_more_parts(self.steps[-1], self.family, self.check, self.settings)
+            self.steps[-1], self.evidence = as_rather(self.start, wider, self.evidence, found, self.family, self.settings)
             if len(self.steps[-1].added) >= self.settings.most_names:
                 return None
             self.check()

@@ -142,7 +142,7 @@ def options(
         check()
         if effect.id in present or (effects is None and (effect.completes or effect.stands_in)):
             continue
-        why = study.why_not(effect)
+        why = study.why_not(effect) or effect.not_told(study.ready)
         try:
             tables = () if why else tuple(_tables(study, effect))
             places = () if why else places_of(study, effect)

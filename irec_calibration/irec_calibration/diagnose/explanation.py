@@ -217,19 +217,20 @@ def usual(one: Explanation, effect_id: str) -> bool:
     return effect_id in small and _visible(one, small, moved) <= sum(most[i] for i in small)
 
 
-def cause_if_alone(one: Explanation, effect_id: str, noise: float) -> bool:
+def cause_if_alone(one: Explanation, effect_id: str, noise: float, *, beside: bool = False) -> bool:
     """Whether an effect that is as large as in every robot is the cause where a loaded session has no other: so much of it is
     seen that the session shows more than noise.
 
     Args:
-        noise: of a sample, as inferred, m.
+        noise: of a sample, as inferred, m. beside: it has others, whose forms this one may mend.
     """
     moved, whole = _moved(one)
     if one.study.ready.kind != "loaded" or effect_id not in moved:
         return False
     seen = _visible(one, [effect_id], moved)
     least = SETTINGS.usual_beside_noise * noise * sqrt(len(one.study.observation.y))
-    return seen > max(one.term(effect_id).effect.usual_alone * whole, least)
+    effect = one.term(effect_id).effect
+    return seen > max((effect.usual_beside if beside else effect.usual_alone) * whole, least)
 
 
 def _moved(one: Explanation) -> tuple[Mapping[str, Array], float]:

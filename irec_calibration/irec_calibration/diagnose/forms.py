@@ -9,6 +9,7 @@ from ..effects import Cause, Effect
 from ..effects import Family as Alike
 from ..effects.joint_ripple import FEWEST
 from ..effects.scene import Scene
+from ..effects.thermal_drift import OF_ARM
 from ..model import Term
 from .family import Structure
 
@@ -95,7 +96,8 @@ def courses(term: Term, scene: Scene) -> frozenset[str]:
     if not forms_of(term, scene).drifts:
         return frozenset()
     groups = {p.group for p in term.effect.parameters(scene) if p.name in term.estimates}
-    return frozenset("stamp" if g == "time" else g for g in groups if g == "time" or g.startswith("temp_"))
+    found = {g.removesuffix(OF_ARM) for g in groups}
+    return frozenset("stamp" if g == "time" else g for g in found if g == "time" or g.startswith("temp_"))
 
 
 def _axes(term: Term, scene: Scene) -> frozenset[int]:

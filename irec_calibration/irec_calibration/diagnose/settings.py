@@ -260,7 +260,7 @@ class Settings(Thresholds):
         "three times what links of calibrated robots are off by",
     )  # fmt: skip
     wander_to_doubt: float = threshold(
-        0.5, "share of variance", "of noise that wanders, above which an absolute session is built without it too",
+        0.5, "share of variance", "of noise that wanders, above which a model is built without it too",
         "chosen: 0.85 or 0.95 where a step or a drift had been taken for such noise; run time",
     )  # fmt: skip
     held_out_sigmas: float = threshold(

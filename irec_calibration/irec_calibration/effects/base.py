@@ -125,7 +125,8 @@ class Effect(ABC):
         usual_by_known: of values that the session does not know by itself that is not asked.
         usual_visible: share of the deflection, RMS, up to which it is as in every robot whatever its values, counted of what the
             rest of the model does not take up; in a loaded session.
-        usual_alone: share of that, from which it is a cause whatever its values where a loaded session has no other.
+        usual_alone: share of that, from which it is a cause whatever its values where a loaded session has no other;
+        usual_beside: likewise beside others, whose forms it may mend.
         beside: id of an effect that a robot which has this one has too: weighed beside that one first, and by itself only where
             that one does not come in.
         special_of: id of an effect that has this one's form with further parameters beside it: no rival of this one unless it
@@ -160,6 +161,7 @@ class Effect(ABC):
     usual_by_known: ClassVar[bool] = False
     usual_visible: ClassVar[float] = 0.0
     usual_alone: ClassVar[float] = np.inf
+    usual_beside: ClassVar[float] = np.inf
     beside: ClassVar[str] = ""
     special_of: ClassVar[str] = ""
     completes: ClassVar[str] = ""
@@ -253,6 +255,11 @@ class Effect(ABC):
         Args:
             values: of each parameter that was fitted; compliance: of each axis, as of `why_impossible`.
         """
+        return ""
+
+    def not_told(self, scene: Scene) -> str:
+        """Why no session like that of a scene tells the effect from others, whatever its values: it is not weighed then; else
+        empty."""
         return ""
 
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:

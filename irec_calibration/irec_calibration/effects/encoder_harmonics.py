@@ -51,14 +51,19 @@ class EncoderHarmonics(Effect):
         n = len(scene)
         return columns[:, :, self._turning(scene)].reshape(n, 3, -1)
 
+    def not_told(self, scene: Scene) -> str:
+        told = scene.kind != "loaded"
+        return "" if told else "between a reference and its load cases they all but cancel; an absolute session tells them"
+
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
         """Any in a loaded session: between a reference and its load cases they all but cancel, and what goes with the angles by
         which a reference stands elsewhere is a joint or link that is wrong, a hose, or a link that warms up, far more often.
 
         Else harmonics of the axis with the largest curve that cancel but for a small difference: over the travel of that axis
         they describe some smooth curve, and no encoder."""
-        if scene.kind == "loaded":
-            return "harmonics of an encoder all but cancel between a reference and its load cases; an absolute session tells them"
+        never = self.not_told(scene)
+        if never:
+            return never
         none = np.array([0.0, 0.0])
         found = np.array([values.get(p.name, none) for p in self.parameters(scene)]).reshape(-1, 4, 2)  # axis, wave, (value, se)
         if not len(found):

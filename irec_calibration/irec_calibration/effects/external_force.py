@@ -169,8 +169,8 @@ class ExternalForce(Effect):
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
         on_arm, pack = _by_values(scene, theta)
         _, cell, hose = _shaped(theta, 0, scene)
-        if cell[:2].any():
-            on_arm = on_arm + moored(scene, cell)[:, :, :2] @ cell[:2]
+        if cell[:3].any():
+            on_arm = on_arm + moored(scene, cell)[:, :, :3] @ cell[:3]
         if hose[:1].any():
             pack = pack + taut(scene, hose)[:, :, 0] * hose[0]
         out: Array = np.einsum("nij...,nj->ni...", change.compliance, on_arm)
@@ -226,13 +226,14 @@ def _weights_of_other_masses(values: Mapping[str, tuple[float, float]], scene: S
 
 def _pushes(values: Mapping[str, tuple[float, float]], scene: Scene) -> str:
     """Why a pull towards a place is none: over the session its mean is a push; or an empty string."""
-    for tension, stiffness, place in (("t", "k_place", "h"), ("t_cell", "k_cell", "from")):
-        t, k, *towards = (values.get(n, (0.0, 0.0))[0] for n in (tension, stiffness, *(f"{place}_{a}" for a in AXES)))
+    for tension, stiffness, more, place in (("t", "k_place", "", "h"), ("t_cell", "k_cell", "s_cell", "from")):
+        t, k, s, *towards = (values.get(n, (0.0, 0.0))[0] for n in (tension, stiffness, more, *(f"{place}_{a}" for a in AXES)))
         tied = np.array([values.get(f"at_{a}", (0.0, 0.0))[0] for a in AXES]) if tension == "t_cell" else np.zeros(len(AXES))
         if t >= 0.0:
             continue
         way = np.array(towards) - scene.p_tcp - scene.kin.R_tool @ tied
-        mean = t + k * float(np.linalg.norm(way, axis=1).mean())
+        far = np.linalg.norm(way, axis=1)
+        mean = float((t + k * far + s * far**3).mean())
         if mean < 0.0:
             return f"it would push with {-mean:.3g} N from ({_point(towards)}) m in base_link, and no hose does"
     return ""
@@ -259,7 +260,7 @@ def _has_moored(scene: Scene) -> bool:
 
 
 def _shaped(theta: Array, first: int, scene: Scene) -> tuple[Array, Array, Array]:
-    """Values of the pull towards a place, (6,), of a hose from the cell, (8,), and of one between forearm and flange, (8,); or
+    """Values of the pull towards a place, (6,), of a hose from the cell, (9,), and of one between forearm and flange, (8,); or
     none of them, (0,).
 
     Args:

@@ -24,9 +24,9 @@ OF_HOSE = 8  # parameters of it, the last ones
 LENGTHS = (0.1, 0.4, 0.7)  # shares of poses in which such a hose is slack
 ASIDE = (-0.2, 0.0, 0.2)  # of the forearm, by which it is tied beside the elbow
 CELL = "of a hose from the cell that always pulls"  # at the references too, where the arm stands otherwise
-OF_CELL = 8  # parameters of it
+OF_CELL = 9  # parameters of it
 OVERHEAD = (-0.5, 0.5)  # of the reach in each direction, about a place half of it above base_link
-TIED = (-0.2, 0.2)  # m from the TCP, across tool0
+TIED = (-0.2, 0.2)  # m, across tool0
 FARTHEST_TIED = 0.6  # m, along each axis
 # m and rad, RMS, by which the tool stands otherwise at the references where a hose that always pulls shows: chosen, beyond any
 # approach; what less would show of it is as small as what all else leaves
@@ -96,24 +96,27 @@ def to_place(scene: Scene, theta: Array) -> Array:
 
 
 def moored(scene: Scene, theta: Array) -> Array:
-    """Wrench in tool0 of a hose between the cell and the tool, by each of its parameters, (n, 6, 8).
+    """Wrench in tool0 of a hose between the cell and the tool, by each of its parameters, (n, 6, 9).
 
-    It pulls in each row by t + k way. What the process causes (`View.measured` is False) is what the pull has changed by since
-    the reference.
+    It pulls in each row by t + k way + s way^3: it stiffens as it straightens. What the process causes (`View.measured` is False)
+    is what the pull has changed by since the reference.
 
     Args:
-        theta: (t_cell, k_cell, from_x, from_y, from_z, at_x, at_y, at_z), or empty: (n, 6, 0) then.
+        theta: (t_cell, k_cell, s_cell, from_x, from_y, from_z, at_x, at_y, at_z), or empty: (n, 6, 0) then.
     """
     if not len(theta):
         return np.zeros((len(scene), 6, 0))
-    (t, k), R_tool = theta[:2], scene.kin.R_tool
-    tied = R_tool @ theta[5:]
-    way = theta[2:5] - scene.p_tcp - tied
+    (t, k, s), R_tool = theta[:3], scene.kin.R_tool
+    tied = R_tool @ theta[6:]
+    way = theta[3:6] - scene.p_tcp - tied
     length = np.maximum(np.linalg.norm(way, axis=1), NEAREST)[:, None]
     along = way / length
-    by_way = (t / length + k)[:, :, None] * np.eye(3) - (t / length)[:, :, None] * along[:, :, None] * along[:, None, :]
-    force = np.concatenate([along[:, :, None], way[:, :, None], by_way, -by_way @ R_tool], axis=2)
-    pull = t * along + k * way
+    square = length**2
+    by_way = (t / length + k + s * square)[:, :, None] * np.eye(3)
+    by_way = by_way + (2.0 * s * square - t / length)[:, :, None] * along[:, :, None] * along[:, None, :]
+    by_values = [v[:, :, None] for v in (along, way, square * way)]
+    force = np.concatenate([*by_values, by_way, -by_way @ R_tool], axis=2)
+    pull = t * along + (k + s * square) * way
     if not scene.view.measured:
         force, pull = scene.change(force), scene.change(pull)
     return _tied_to_tool(R_tool, tied, force, pull)
@@ -146,15 +149,15 @@ def taut(scene: Scene, theta: Array) -> Array:
 
 
 def _tied_to_tool(R_tool: Array, tied: Array, force: Array, pull: Array) -> Array:
-    """Wrench in tool0, N and N m, by each of eight parameters of a pull at a point of the tool, the last three of which are where
-    in tool0 that is, (n, 6, 8).
+    """Wrench in tool0, N and N m, by each of p parameters of a pull at a point of the tool, (n, 6, p); the last three are where
+    in tool0 that is.
 
     Args:
-        R_tool: (n, 3, 3); tied: from the TCP to the point, in base_link, (n, 3), m. force: by each, in base_link, (n, 3, 8);
+        R_tool: (n, 3, 3); tied: from the TCP to the point, in base_link, (n, 3), m. force: by each, in base_link, (n, 3, p);
             pull: itself, in base_link, (n, 3), N.
     """
     moment = np.swapaxes(np.cross(tied[:, None], np.swapaxes(force, 1, 2)), 1, 2)
-    moment[:, :, 5:] += np.swapaxes(np.cross(np.swapaxes(R_tool, 1, 2), pull[:, None]), 1, 2)
+    moment[:, :, -3:] += np.swapaxes(np.cross(np.swapaxes(R_tool, 1, 2), pull[:, None]), 1, 2)
     back = np.swapaxes(R_tool, 1, 2)
     return np.concatenate([back @ force, back @ moment], axis=1)
 
@@ -222,7 +225,7 @@ def of_taut_hose(scene: Scene) -> tuple[Parameter, ...]:
     """Stiffness of a hose that is tied to forearm and flange, its length, and where it is tied."""
     frame, origin = forearm_frame(scene)[0], scene.kin.origin[0]
     forearm_m = max(float(np.linalg.norm(origin[wrist_centre(scene)] - origin[forearm(scene)])), AT_FLANGE)
-    at_tool0 = np.round(0.5 * scene.kin.R_tool[0].T @ (origin[-1] - scene.p_tcp[0]), 3) + 0.0
+    at_tool0 = between_flange_and_tcp(scene)
     way = scene.kin.origin[:, forearm(scene)] - scene.p_tcp - scene.kin.R_tool @ at_tool0
     lengths = np.quantile(np.linalg.norm(way, axis=1), LENGTHS)
     towards_wrist = int(np.argmax(np.abs(frame.T @ (origin[wrist_centre(scene)] - origin[forearm(scene)]))))
@@ -239,12 +242,20 @@ def of_taut_hose(scene: Scene) -> tuple[Parameter, ...]:
     )
 
 
+def between_flange_and_tcp(scene: Scene) -> Array:
+    """The place half way from the TCP to the last joint, in tool0, (3,), m: about there a head carries its hoses."""
+    return np.asarray(np.round(0.5 * scene.kin.R_tool[0].T @ (scene.kin.origin[0, -1] - scene.p_tcp[0]), 3) + 0.0)
+
+
 def of_moored_hose(scene: Scene) -> tuple[Parameter, ...]:
-    """Tension and stiffness of a hose that is tied to the cell and to the tool, and where."""
+    """Tension and stiffness of a hose that is tied to the cell and to the tool, how it stiffens, and where it is tied."""
     reach, above = typical_reach(scene), overhead(scene)
+    about = [float(v) for v in between_flange_and_tcp(scene)]
+    tied = [tuple(c + s for s in TIED) for c in about[:2]] + [(about[2],)]  # across and along tool0
     return (
         Parameter("t_cell", "N", 20.0, plausible=(-1000.0, 1000.0), group=CELL),
         Parameter("k_cell", "N/m", 20.0 / reach, 0.0, plausible=(0.0, 2000.0), group=CELL),
+        Parameter("s_cell", "N/m^3", 20.0 / reach**3, 0.0, plausible=(0.0, 2000.0), group=CELL),
         *(
             Parameter(
                 f"from_{a}", "m", reach, float(c) - FARTHEST * reach, float(c) + FARTHEST * reach, start=float(c),
@@ -253,8 +264,8 @@ def of_moored_hose(scene: Scene) -> tuple[Parameter, ...]:
             for a, c in zip(AXES, above, strict=True)
         ),
         *(
-            Parameter(f"at_{a}", "m", TIED[1], -FARTHEST_TIED, FARTHEST_TIED, grid=grid, group=CELL, shapes=CELL)
-            for a, grid in zip(AXES, (TIED, TIED, (0.0,)), strict=True)
+            Parameter(f"at_{a}", "m", TIED[1], c - FARTHEST_TIED, c + FARTHEST_TIED, start=c, grid=at, group=CELL, shapes=CELL)
+            for a, c, at in zip(AXES, about, tied, strict=True)
         ),
     )  # fmt: skip
 

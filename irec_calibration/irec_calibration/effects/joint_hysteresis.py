@@ -21,7 +21,7 @@ APART = 4.0  # factor between the thresholds of the sliders
 FREED = (0.0, 10.0, 50.0, 250.0)
 ARRIVED = (-0.5, 0.0, 0.5)
 # rad of travel over which friction of an absolute session turns, nearly at once and more gently; twice the last at most
-TURNS_OVER = (1e-4, 0.01, 0.04)
+TURNS_OVER = (1e-4, 0.01, 0.08)
 RESOLVED = 1e-4  # rad; a smaller step is none
 TURNS = 0.01  # rad of travel after which friction points against it
 ROUNDING = 1e-9  # of a threshold

@@ -24,6 +24,7 @@ class SensorAlignment(Effect):
     family = Family.SENSOR
     acts_on = "wrench"
     needs = ("load",)
+    special_of = "sensor_gain"  # crosstalk that turns the force and does nothing else
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         # a sensor can be bolted on at any angle, so nothing within the bounds is implausible

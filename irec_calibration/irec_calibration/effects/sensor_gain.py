@@ -17,6 +17,7 @@ from .traits import Family
 NAMES = ("e_xx", "e_yy", "e_xy", "e_xz", "e_yx", "e_yz", "e_zx", "e_zy")
 LIMIT = 0.5
 LEAST_BESIDE_TURNING = 0.1  # of the turning part, that E has besides: axes that read each other by chance don't turn the force
+MOST_BESIDE_TURNING = 0.5  # likewise, of a matrix that is rather a turned sensor, where that explains as much
 
 
 def crosstalk(theta: Array) -> Array:
@@ -51,6 +52,11 @@ class SensorGain(Effect):
             return ""
         angle = turns / np.sqrt(2.0)
         return f"it turns the force by {angle:.3g} rad and changes it by less than a tenth of that: a turned sensor"
+
+    def rather(self, values: Mapping[str, float], compliance: Mapping[str, float], scene: Scene) -> str:
+        E = crosstalk(np.array([values.get(n, 0.0) for n in NAMES]))
+        mostly_turns = np.linalg.norm(E + E.T) <= MOST_BESIDE_TURNING * np.linalg.norm(E - E.T)
+        return "sensor_alignment" if mostly_turns and np.any(E) else ""
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         """Crosstalk that turns the force, by more than its errors, and does nothing else beyond them may be a turned sensor."""

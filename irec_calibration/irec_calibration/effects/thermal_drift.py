@@ -13,6 +13,7 @@ from .scene import Scene
 from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
+OF_ARM = " of the arm"  # what a course drives there, in the name of its part
 SLOWER = 5.0  # times as long as what warms up first takes what does so beside it
 
 
@@ -21,9 +22,10 @@ class ThermalDrift(Effect):
     label = "thermal drift"
     physics = (
         "Links and tracker stand grow while the cell warms up: v T (1 - exp(-t/T)), which is v t for a long T, beside it what "
-        "takes five times as long, w in place of v, where longer is 1, or in proportion to a logged temperature; in absolute "
-        "sessions the arm grows from base_link outwards too. Missing, the residual grows with the time since the reference and "
-        "is blind to force."
+        "takes five times as long, w in place of v, where longer is 1, or in proportion to a logged temperature. The arm does so "
+        "too: in absolute sessions it grows from base_link outwards, in loaded ones each link from one joint to the next, and "
+        "links that bow turn what is beyond (turn_k). Missing, the residual grows with the time since the reference and is blind "
+        "to force."
     )
     family = Family.TIME
     cause = Cause.TIME
@@ -81,9 +83,10 @@ def _by_constant(scene: Scene, T: float) -> Array:
 def _of_driver(scene: Scene, name: str, per: str, scale: float, most: float, group: str) -> list[Parameter]:
     """Parameters of what one course (time, a temperature) drives, as the columns of `_ways`."""
     out = [Parameter(f"{name}_{a}", f"m/{per}", scale, plausible=(-most, most), group=group) for a in AXES]
+    growth, at = most / REACH, f"{group}{OF_ARM}"
     if scene.kind != "absolute":
-        return out
-    growth, at = most / REACH, f"{group} of the arm"
+        links = [(f"link_{k + 1}", f"1/{per}") for k in _links(scene)] + [(f"turn_{k + 1}", f"rad/{per}") for k in _bowed(scene)]
+        return out + [Parameter(f"{name}_{n}", u, scale / REACH, plausible=(-growth, growth), group=at) for n, u in links]
     out.append(Parameter(f"{name}_growth", f"1/{per}", scale / REACH, plausible=(-growth, growth), group=at))
     if _watches_base(scene):
         out += [Parameter(f"{name}_{a}_arm", f"m/{per}", scale, plausible=(-most, most), group=at) for a in AXES]
@@ -92,15 +95,30 @@ def _of_driver(scene: Scene, name: str, per: str, scale: float, most: float, gro
 
 def _ways(scene: Scene) -> Array:
     """How each row moves by one unit of a course: all that the station sees along x, y, z; in absolute sessions an arm that grows
-    in all directions from base_link, and, where markers on the base tell the stand from the arm, the arm alone along x, y, z."""
+    in all directions from base_link, and, where markers on the base tell the stand from the arm, the arm alone along x, y, z; in
+    loaded ones the links of the arm, each by its length, and those that bow."""
     along = np.tile(np.eye(3), (len(scene), 1, 1))
     if scene.kind != "absolute":
-        return along
+        grown = np.diff(scene.kin.origin, axis=1)[:, _links(scene)].swapaxes(1, 2) * scene.moves_with_arm[:, None, None]
+        return np.concatenate([along, grown, scene.J[:, :, _bowed(scene)]], axis=2)
     arm = scene.moves_with_arm[:, None, None]
     ways = [along, arm * scene.p_observed[:, :, None]]
     if _watches_base(scene):
         ways.append(arm * along)
     return np.concatenate(ways, axis=2)
+
+
+def _links(scene: Scene) -> list[int]:
+    """Joints of the arm, counted from 0, from which a link leads to the next joint, long enough to show what it grows by."""
+    ways = np.diff(scene.kin.origin, axis=1)
+    far = np.linalg.norm(ways, axis=2).max(axis=0, initial=0.0)
+    return [int(k) for k in np.flatnonzero(far > SHORTEST * max(float(far.sum()), 1e-9))]
+
+
+def _bowed(scene: Scene) -> list[int]:
+    """Joints of the arm, counted from 0, beyond the first one and before the wrist, about which a link that bows turns what is
+    beyond it."""
+    return [k for k in range(1, scene.n_joints) if k not in scene.wrist and not scene.kin.is_prismatic[k]]
 
 
 def _watches_base(scene: Scene) -> bool:
@@ -109,6 +127,7 @@ def _watches_base(scene: Scene) -> bool:
 
 STEEL = 3e-5  # m/K, an arm of steel of 2.5 m
 REACH = 2.5  # m
+SHORTEST = 0.1  # of the length of all links; what a shorter one grows by is no more than rounding beside them
 LARGEST_PER_KELVIN = 1e-3  # m/K
 LARGEST = 2e-3  # m over a session; arms that warm up drift by 0.1 to 0.5 mm
 QUICKEST = 300.0  # s; arms and stands warm up with time constants of half an hour and more

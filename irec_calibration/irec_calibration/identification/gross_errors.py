@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..session.data import Session
+from ..session.plausible_place import MARKER_M
+from ..session.plausible_tcp import MANY_ROWS, TCP_M
 from ..typing import BoolArray, IntArray
 from .bad_rows import BadRow, place
 from .settings import OUTLIERS
@@ -76,9 +78,10 @@ def wrong_forces(session: Session, rows: IntArray) -> list[BadRow]:
 
 
 def wrong_joints(session: Session) -> list[BadRow]:
-    """Rows whose joint angles are far from those of their pose, of a reference all rows that it is one of; in an absolute session
-    from the commanded ones."""
+    """Rows whose joint angles are far from those of their pose, of a reference all rows that it is one of, and poses whose angles
+    are those of no TCP or marker that was read there; in an absolute session from the commanded ones."""
     found = [BadRow("joints", (row,), float("nan"), text) for row, text in _not_commanded(session)]
+    found += [BadRow("joints", tuple(int(r) for r in group), float("nan"), text) for group, text in _not_there(session)]
     for row, group, text in _elsewhere(session):
         spoilt = group[session.load_case[group] != 0] if session.load_case[row] == 0 else np.array([row])
         found.append(BadRow("joints", tuple(int(r) for r in spoilt), float("nan"), text))
@@ -133,6 +136,36 @@ def _elsewhere(session: Session) -> list[tuple[int, IntArray, str]]:
         text = f"{place(session, int(row))}: joint angles up to {off[row]:.3f} rad from the pose's other rows; look like {like}"
         found.append((int(row), group, text))
     return found
+
+
+def _not_there(session: Session) -> list[tuple[IntArray, str]]:
+    """Loaded rows of each pose of a loaded session all of whose joint angles put the TCP, or the marker, far from where the
+    controller, or the tracker, has it, with the words; none where that is so in many."""
+    if session.kind != "loaded":
+        return []
+    kin = session.robot.kinematics(session.q)
+    R, at = np.stack([s.R_in_base for s in session.stations]), np.array([s.xyz for s in session.stations])
+    seen = np.einsum("nij,nj->ni", R[session.station], session.p_marker_in_station) + at[session.station]
+    xyz = np.array([m.xyz for m in session.markers])[session.marker]
+    believed = kin.p_tcp + np.einsum("nij,nj->ni", kin.R_tool, xyz)
+    of_tcp = np.linalg.norm(kin.p_tcp - session.p_tcp_in_base, axis=1)
+    of_marker = np.where(session.marker_seen & session.on_tool, np.linalg.norm(seen - believed, axis=1), np.nan)
+    out = []
+    _, index = np.unique(np.column_stack([session.pose, session.repeat]), axis=0, return_inverse=True)
+    for what, off, least in (("tcp_*", of_tcp, TCP_M), ("the marker", of_marker, MARKER_M)):
+        known = np.isfinite(off)
+        limit = max(least, OUTLIERS.not_there_usual * float(np.median(off[known]))) if known.any() else np.inf
+        far = [g for g in _grouped(index.ravel()) if known[g].any() and np.nanmin(off[g]) > limit]
+        if not far or sum(map(len, far)) > MANY_ROWS * len(off):
+            continue
+        for group in far:
+            row = int(group[0])
+            repeat = f", repeat {session.repeat[row]}" if np.any(session.repeat) else ""
+            text = f"joint angles that put {what} {np.nanmedian(off[group]):.3g} m from where it was read"
+            text = f"pose {session.pose[row]}{repeat}: {text}; look like {_looks_like(session, row, OUTLIERS.elsewhere_rad)}"
+            out.append((group[session.load_case[group] != 0], text))
+        return out
+    return out
 
 
 def _seen_there(session: Session, rows: IntArray, index: IntArray) -> BoolArray:

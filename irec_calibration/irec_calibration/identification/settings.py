@@ -134,6 +134,9 @@ class OutlierThresholds(Thresholds):
         0.1, "rad", "of joint angles from those of their pose at least", "near a singularity a wrist turns by 0.02 within a pose",
     )  # fmt: skip
     elsewhere_usual: float = threshold(20.0, "times what is usual", "of joint angles from those of their pose at least", "chosen")
+    not_there_usual: float = threshold(
+        20.0, "times what is usual", "of the TCP or the marker of a pose from where its joint angles put it", "chosen",
+    )  # fmt: skip
     seen_there: float = threshold(
         0.5, "of the way", "that joint angles say a marker moved within a pose, by which it may have been seen elsewhere",
         "chosen: a wrong row is off by all of it",

@@ -118,10 +118,15 @@ def prepared(terms: Sequence[Term], scene: Scene) -> Scene:
     scene = apply_wrench_effects(terms, scene)
     if any(follows_springs(t.effect, scene) for t in terms):
         mover = mover_of((t.effect for t in terms), scene)
-        known = next((t.estimates for t in terms if t.effect is mover), {})  # none: all parameters, as before a first fit
-        which = [i for i, p in enumerate(parameters_of(mover, scene)) if p.name in known] if mover and known else None
+        which = _known_of(mover, terms, scene)
         scene = scene.loaded_otherwise(elastic=elastic_response(terms, scene, mover, which))
     return with_pull(terms, scene)
+
+
+def _known_of(mover: Effect | None, terms: Sequence[Term], scene: Scene) -> list[int] | None:
+    """Which parameters of an effect that moves the joints a model has; None: all, as before a first fit."""
+    known = next((t.estimates for t in terms if t.effect is mover), {})
+    return [i for i, p in enumerate(parameters_of(mover, scene)) if p.name in known] if mover and known else None
 
 
 def with_pull(terms: Sequence[Term], scene: Scene) -> Scene:
@@ -172,7 +177,7 @@ def regressors(terms: Sequence[Term], scene: Scene, ready: Scene | None = None) 
         for i in springs if theta.any() and type(term.effect).by_elastic is not Effect.by_elastic else ():
             if i not in change:
                 at = terms[i].theta(parameters_of(terms[i].effect, scene))
-                change[i] = by_parameters(terms[i].effect, at, ready, plain[i], mover)
+                change[i] = by_parameters(terms[i].effect, at, ready, plain[i], mover, _known_of(mover, terms, scene))
             more = term.effect.by_elastic(ready, theta, change[i])
             if more is None:
                 continue

@@ -76,12 +76,15 @@ def response_of(effect: Effect, theta: Array, scene: Scene) -> ElasticResponse:
     return ElasticResponse(u, _rotation(by_place), by_wrench, of_wrist=of_wrist)
 
 
-def by_parameters(effect: Effect, theta: Array, scene: Scene, columns: Array, mover: Effect | None = None) -> ElasticResponse:
+def by_parameters(
+    effect: Effect, theta: Array, scene: Scene, columns: Array, mover: Effect | None = None, which: Sequence[int] | None = None
+) -> ElasticResponse:
     """Derivative of what effects see of a spring by its parameters at their values, the last axis of each field.
 
     Args:
         columns: derivative of its displacement, (n, 3, p); all that is known of a spring that is not kept.
-        mover: an effect that `moves_joints`, if it is asked what springs do by its parameters.
+        mover: an effect that `moves_joints`, if it is asked what springs do by its parameters; which: by which of these, zeros
+            for the others. None: by all.
     """
     if not is_kept(effect, scene):
         n, p = len(scene), columns.shape[2]
@@ -91,7 +94,7 @@ def by_parameters(effect: Effect, theta: Array, scene: Scene, columns: Array, mo
     u = known.at_rest + np.einsum("nijkp,nk->nijp", known.by_wrench, _wrench(scene))
     turned = None
     if mover is not None and not effect.completes:
-        turned = _by_geometry(effect, scene, mover).under(scene)
+        turned = _by_geometry(effect, scene, mover).under(scene, which)
     by_wrench = known.by_wrench[:, :, 0]
     of_wrist = by_wrench * kept.wrist if scene.kind == "loaded" else None
     return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), by_wrench, turned, of_wrist)
@@ -132,8 +135,8 @@ def _kept(effect: Effect, theta: Array, scene: Scene) -> _Kept:
 @dataclass(frozen=True)
 class _Turned:
     """What each unit of the wrench does through a spring, by where the joints are and by the spring's parameters,
-    (g, n, 3, 6, p), with what it was computed for; `pressed`: under the wrench it was last asked for, (n, 3, g, p); `values`: at
-    the values of the parameters it was last asked for, and for some of where the joints are, (g, n, 3, 6)."""
+    (g, n, 3, 6, p), with what it was computed for; `pressed`: under the wrench it was last asked for, by some of where the joints
+    are, (n, 3, g, p); `values`: at the values of the parameters it was last asked for, likewise, (6, g, 3, n)."""
 
     effect: Effect
     mover: Effect
@@ -145,28 +148,36 @@ class _Turned:
     def at(self, theta: Array, scene: Scene, which: Sequence[int] | None = None) -> Array:
         """At values of the spring's parameters, under a scene's wrench, (n, 3, g): a fit asks for many values under one wrench,
         and the derivative by the parameters of a force sensor for many wrenches at the same values."""
-        wrench = _wrench(scene)
-        pressed = self.pressed.get(wrench.tobytes())
+        wrench, asked = _wrench(scene), self._asked(which)
+        pressed = self.pressed.get(wrench.tobytes() + bytes(asked))
         if pressed is not None:
             return _at(pressed, theta)
         g, n = self.columns.shape[:2]
-        asked = list(range(g) if which is None else which)
         key = theta.tobytes() + bytes(asked)
         if key not in self.values:
             self.values.clear()
-            self.values[key] = np.array([_at(self.columns[i], theta) for i in asked]).reshape(len(asked), n, 3, 6)
+            found = np.array([_at(self.columns[i], theta) for i in asked]).reshape(len(asked), n, 3, 6)
+            self.values[key] = np.ascontiguousarray(found.transpose(3, 0, 2, 1))  # rows last: products over them are long
         out = np.zeros((n, 3, g))
-        out[:, :, asked] = np.einsum("gnik,nk->nig", self.values[key], wrench)
+        by_rows = sum((v * w for v, w in zip(self.values[key], wrench.T, strict=True)), np.zeros((len(asked), 3, n)))
+        out[:, :, asked] = by_rows.transpose(2, 1, 0)
         return out
 
-    def under(self, scene: Scene) -> Array:
-        """Under a scene's wrench, (n, 3, g, p)."""
-        wrench = _wrench(scene)
-        key = wrench.tobytes()
+    def under(self, scene: Scene, which: Sequence[int] | None = None) -> Array:
+        """Under a scene's wrench, (n, 3, g, p); zeros for those of g that are not asked for."""
+        wrench, asked = _wrench(scene), self._asked(which)
+        key = wrench.tobytes() + bytes(asked)
         if key not in self.pressed:
             self.pressed.clear()
-            self.pressed[key] = np.einsum("gnikp,nk->nigp", self.columns, wrench)
+            g, n, _, _, p = self.columns.shape
+            out = np.zeros((n, 3, g, p))
+            for i in asked:
+                out[:, :, i] = np.einsum("nikp,nk->nip", self.columns[i], wrench.astype(self.columns.dtype))
+            self.pressed[key] = out
         return self.pressed[key]
+
+    def _asked(self, which: Sequence[int] | None) -> list[int]:
+        return list(range(len(self.columns)) if which is None else which)
 
 
 def _by_geometry(effect: Effect, scene: Scene, mover: Effect) -> _Turned:
@@ -177,7 +188,7 @@ def _by_geometry(effect: Effect, scene: Scene, mover: Effect) -> _Turned:
     zero = np.zeros(len(parameters_of(effect, scene)))
     count = len(parameters_of(mover, scene))
     here = _kept(effect, zero, scene).columns.by_wrench[:, :, 0]
-    columns = np.empty((count, len(scene), 3, 6, len(zero)))
+    columns = np.empty((count, len(scene), 3, 6, len(zero)), dtype=np.float32)  # some per cent of some per cent, and most to read
     for g, step in enumerate(np.eye(count) * STEP):
         there = mover.standing(scene, step)
         columns[g] = (_by_unit(lambda s: effect.regressor(s, zero), there) - here) / STEP
@@ -195,7 +206,7 @@ def displacement_at(effect: Effect, theta: Array, scene: Scene) -> Array:
 def _at(columns: Array, theta: Array) -> Array:
     """Columns (..., p) times values (p,): as one product, since numpy makes thousands of small ones of it."""
     each = columns.shape[:-1]
-    return np.asarray(columns.reshape(prod(each), len(theta)) @ theta).reshape(each)
+    return np.asarray(columns.reshape(prod(each), len(theta)) @ theta.astype(columns.dtype, copy=False)).reshape(each)
 
 
 def _rotation(further: Array) -> Array:

@@ -73,12 +73,23 @@ def test_where_one_name_is_too_weak_not_all_stand(monkeypatch) -> None:
     assert all_stand(found.start, found.final, found.family, SETTINGS) == {}
 
 
-@pytest.mark.parametrize(("share", "built_with"), [(0.45, [True]), (0.55, [True, False])])
-def test_a_model_is_built_without_noise_that_wanders_where_most_of_the_noise_does(monkeypatch, share, built_with) -> None:
+@pytest.mark.parametrize(
+    ("kind", "share", "named", "built_with"),
+    [
+        ("absolute", 0.45, ("play",), [True]),
+        ("absolute", 0.55, ("play",), [True, False]),
+        ("loaded", 0.55, (), [True, False]),
+        ("loaded", 0.55, ("play",), [True]),
+    ],
+)
+def test_a_model_is_built_without_noise_that_wanders_where_most_of_the_noise_does(
+    monkeypatch, kind, share, named, built_with
+) -> None:
+    """In a loaded session only where nothing was found beside it."""
     asked = study(play_of_axis_4)
     seen = asked.observation
     wander = Wander(share, 40.0, asked.ready.stamp[seen.rows], np.zeros(len(seen.rows), dtype=np.int64), seen.whiten.sigma)
-    absolute = replace(seen, session=replace(seen.session, kind="absolute"), whiten=replace(seen.whiten, wander=wander))
+    wandering = replace(seen, session=replace(seen.session, kind=kind), whiten=replace(seen.whiten, wander=wander))
     with_wander = []
 
     def on(observation: Observation) -> Study:
@@ -86,11 +97,11 @@ def test_a_model_is_built_without_noise_that_wanders_where_most_of_the_noise_doe
 
     def built_once(asked: Study, study: Study, *_: object) -> tuple[Study, Study, SimpleNamespace]:
         with_wander.append(study.observation.whiten.wander is not None)
-        return asked, study, SimpleNamespace(final=None)
+        return asked, study, SimpleNamespace(final=SimpleNamespace(added=named))
 
     monkeypatch.setattr(again, "built_again", built_once)
     monkeypatch.setattr(again, "at_level_beside", lambda observation, terms: observation)
     monkeypatch.setattr(again, "study_of", lambda observation, terms: on(observation))
     monkeypatch.setattr(again, "_log_odds", lambda one: 0.0)
-    again.built_either_way(on(absolute), on(absolute), lambda: None, lambda words: None)
+    again.built_either_way(on(wandering), on(wandering), lambda: None, lambda words: None)
     assert with_wander == built_with

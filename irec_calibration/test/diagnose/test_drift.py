@@ -51,6 +51,37 @@ def test_a_drift_that_ends_within_minutes_is_no_warm_up(values: dict[str, float]
     assert ("160 s" in said) == is_told
 
 
+def growing(per_kelvin: float) -> Session:
+    """A session whose upper arm warms up by 15 K, to and fro by 1 K beside, and grows along its own direction."""
+    still = session()
+    along = np.linspace(0.0, 1.0, still.stamp.size)
+    warmer = 15.0 * along + np.sin(0.9 * np.arange(still.stamp.size))
+    origin = still.robot.kinematics(still.q).origin
+    longer = per_kelvin * warmer[:, None] * (origin[:, 2] - origin[:, 1])
+    in_station = np.einsum("nji,nj->ni", np.stack([s.R_in_base for s in still.stations])[still.station], longer)
+    return replace(
+        still, p_marker_in_station=still.p_marker_in_station + in_station, temperature={"upper_arm": 22.0 + warmer}
+    )
+
+
+def test_a_link_that_grows_with_its_temperature_is_told_from_a_stand_that_drifts() -> None:
+    verdict = diagnose(growing(1.2e-4)).verdict
+    assert verdict.effects == ("thermal_drift",), verdict.text
+    assert verdict.parts["thermal_drift"].proven == ("temp_upper_arm of the arm",)
+    assert verdict.remaining_m == 0.0
+
+
+def test_links_grow_along_themselves_and_turn_what_is_beyond_them_where_they_bow() -> None:
+    scene = scene_of(growing(0.0))
+    effect = find_effect("thermal_drift")
+    names = [p.name for p in effect.parameters(scene)]
+    theta = np.array([{"k_upper_arm_link_2": 1.5e-5, "k_upper_arm_turn_2": 2e-6, "T": 1e5}.get(n, 0.0) for n in names])
+    kelvin = scene.temperature["upper_arm"][:, None] - 20.0
+    grown = 1.5e-5 * kelvin * (scene.kin.origin[:, 2] - scene.kin.origin[:, 1])
+    turned = np.cross(2e-6 * kelvin * scene.kin.axis[:, 1], scene.p_observed - scene.kin.origin[:, 1])
+    np.testing.assert_allclose(effect.displacement(scene, theta), grown + turned, atol=1e-12)
+
+
 @pytest.mark.parametrize("stand", [False, True], ids=["the arm grows", "the stand moves"])
 def test_an_arm_that_grows_with_time_is_told_from_a_stand_that_moves(stand: bool) -> None:
     markers = (*absolute_sessions.THREE_MARKERS[:2], Marker("G", "base_link", (0.5, 0.4, 0.1), known=False))

@@ -11,7 +11,7 @@ import pytest
 import synthetic
 from irec_calibration.diagnose import diagnose, improve
 from irec_calibration.effects import find_effect
-from irec_calibration.effects.hoses import CELL, TAUT, TIGHTENS, stretched
+from irec_calibration.effects.hoses import CELL, TAUT, TIGHTENS, moored, stretched
 from irec_calibration.effects.live import LeftOut, Pull
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
@@ -147,27 +147,42 @@ def test_such_a_hose_is_named_and_predicts_poses_that_it_was_not_fitted_to() -> 
 
 # a hose from a place in the cell, in base_link, m, to beside the flange: it is 0.4 m long without a pull
 PLACE_IN_CELL, OF_CELL, LENGTH = np.array([0.8, -0.7, 2.2]), 400.0, 0.4
+STIFFENS = 150.0  # N/m^3
 
 
-def from_the_cell(scene: Scene) -> tuple[Array, Array]:
+def from_the_cell(scene: Scene, stiffens: float = 0.0) -> tuple[Array, Array]:
     """Where it is tied to the tool, and its pull there, in base_link, (n, 3) each, m and N."""
     at = scene.p_tcp + scene.kin.R_tool @ AT_TOOL
     way = PLACE_IN_CELL - at
-    return at, OF_CELL * (1.0 - LENGTH / np.linalg.norm(way, axis=1, keepdims=True)) * way
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    return at, (OF_CELL * (1.0 - LENGTH / length) + stiffens * length**2) * way
 
 
-def of_moored_hose() -> list[Term]:
-    values = {"t_cell": -OF_CELL * LENGTH, "k_cell": OF_CELL}
+def of_moored_hose(stiffens: float = 0.0) -> list[Term]:
+    values = {"t_cell": -OF_CELL * LENGTH, "k_cell": OF_CELL, "s_cell": stiffens}
     values |= {f"from_{a}": float(v) for a, v in zip("xyz", PLACE_IN_CELL, strict=True)}
     values |= {f"at_{a}": float(v) for a, v in zip("xyz", AT_TOOL, strict=True)}
     return [*springs(), Term(find_effect("external_force"), {n: Estimate(v) for n, v in values.items()})]
 
 
-def test_a_hose_from_the_cell_pulls_with_and_without_the_process() -> None:
+@pytest.mark.parametrize("stiffens", [0.0, STIFFENS])
+def test_a_hose_from_the_cell_pulls_with_and_without_the_process(stiffens: float) -> None:
     scene = scene_of(synthetic.session(poses=12, **TILTED))
-    moved = total_displacement(of_moored_hose(), scene) - total_displacement(springs(), scene)
+    moved = total_displacement(of_moored_hose(stiffens), scene) - total_displacement(springs(), scene)
     assert np.abs(moved[scene.load_case == 0]).max() > 1e-5, "no example"
-    np.testing.assert_allclose(moved, bends_the_arm(scene, *from_the_cell(scene)), atol=1e-12)
+    np.testing.assert_allclose(moved, bends_the_arm(scene, *from_the_cell(scene, stiffens)), atol=1e-12)
+
+
+def test_what_such_a_hose_does_by_where_it_is_tied_is_the_derivative_of_its_pull() -> None:
+    scene, values = scene_of(synthetic.session(poses=6, **TILTED)), np.array([-60.0, 300.0, STIFFENS, *PLACE_IN_CELL, *AT_TOOL])
+
+    def wrench(theta: Array) -> Array:
+        return np.asarray(moored(scene, theta)[:, :, :3] @ theta[:3])
+
+    by_value = moored(scene, values)
+    for i, step in enumerate(1e-6 * np.eye(len(values))):
+        expected = (wrench(values + step) - wrench(values - step)) / 2e-6
+        np.testing.assert_allclose(by_value[:, :, i], expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_the_process_causes_only_what_a_hose_from_the_cell_pulls_otherwise_than_at_the_reference() -> None:

@@ -165,6 +165,7 @@ def test_what_springs_of_links_take_up_is_usual_however_much_of_it_there_is(monk
     assert usual(one, effect_id) == usual_
 
 
+@pytest.mark.parametrize("beside", [False, True])
 @pytest.mark.parametrize(
     ("of_deflection", "of_noise", "expected"),
     [
@@ -173,21 +174,25 @@ def test_what_springs_of_links_take_up_is_usual_however_much_of_it_there_is(monk
         (1.1, 0.9, False),  # noise hides it
     ],
 )
-def test_usual_links_are_a_cause_where_more_than_noise_is_seen_of_them(monkeypatch, of_deflection, of_noise, expected) -> None:
+def test_usual_links_are_a_cause_where_more_than_noise_is_seen_of_them(
+    monkeypatch, of_deflection, of_noise, expected, beside
+) -> None:
+    """Beside other causes, whose form they may mend, more of them than by themselves."""
     plain = study(lambda scene: np.zeros((len(scene), 3)))
     links = Term(GEOMETRY, {"zero_2": Estimate(1e-4, unit="rad")})
     with_it = study_of(plain.observation, (*plain.terms, links))
     one = Explanation(with_it.terms[-1:], with_it, 0.0, grow(with_it.bench, family_of(with_it), with_it.base))
     springs = with_it.observation.of(total_displacement(with_it.terms, with_it.observation.scene))
-    seen = of_deflection * GEOMETRY.usual_alone * rms(springs)
+    seen = of_deflection * (GEOMETRY.usual_beside if beside else GEOMETRY.usual_alone) * rms(springs)
     monkeypatch.setattr(explanation, "_visible", lambda one, ids, moved: seen * np.sqrt(len(springs)))
-    assert cause_if_alone(one, "geometry_error", seen / (of_noise * SETTINGS.usual_beside_noise)) == expected
+    noise = seen / (of_noise * SETTINGS.usual_beside_noise)
+    assert cause_if_alone(one, "geometry_error", noise, beside=beside) == expected
 
 
 @pytest.mark.parametrize(("cause", "status"), [(True, "missing_effect"), (False, "adequate")])
 def test_such_a_session_is_not_adequate(monkeypatch, cause, status) -> None:
     monkeypatch.setattr(type(find_effect("marker_offset")), "is_usual", lambda self, values, share, scene: True)
-    monkeypatch.setattr(assessment, "cause_if_alone", lambda one, effect_id, noise: cause)
+    monkeypatch.setattr(assessment, "cause_if_alone", lambda one, effect_id, noise, beside=False: cause and not beside)
     verdict = diagnose(synthetic.session(poses=20, seed=5, extra=marker_elsewhere)).verdict
     named, usual_ = (("marker_offset",), ()) if cause else ((), ("marker_offset",))
     assert (verdict.status, verdict.effects, verdict.usual) == (status, named, usual_)

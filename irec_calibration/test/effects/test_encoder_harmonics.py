@@ -10,9 +10,12 @@ import absolute_sessions
 import numpy as np
 import pytest
 import synthetic
-from irec_calibration.effects import encoder_harmonics
+from irec_calibration.diagnose.candidates import options
+from irec_calibration.diagnose.study import prepare
+from irec_calibration.effects import encoder_harmonics, find_effect
 from irec_calibration.effects.encoder_harmonics import EncoderHarmonics
 from irec_calibration.effects.of_session import scene_of
+from irec_calibration.model import Term
 
 EFFECT = EncoderHarmonics()
 
@@ -104,6 +107,12 @@ def test_a_loaded_session_tells_of_no_encoder() -> None:
     assert EFFECT.why_impossible({"a1_1": (1e-4, 1e-5)}, {}, scene) == ""
     scene.kind = "loaded"
     assert "absolute session" in EFFECT.why_impossible({"a1_1": (1e-4, 1e-5)}, {}, scene)
+
+
+def test_a_diagnosis_of_a_loaded_session_does_not_weigh_it_and_says_why() -> None:
+    found, skipped = options(prepare(synthetic.session(poses=6), (Term(find_effect("joint_torsion")),)))
+    assert "encoder_harmonics" not in [o.effect.id for o in found]
+    assert "absolute session" in skipped["encoder_harmonics"]
 
 
 def test_no_encoder_is_worse_in_a_loaded_session_than_in_an_absolute_one() -> None:

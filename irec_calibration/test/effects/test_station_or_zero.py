@@ -24,7 +24,8 @@ STATION = find_effect("station_registration")
         ((3e-3, 0.0, 5e-3), 0.0, ""),
         ((3e-3, 0.0, 5e-3), 1.5e-3, "geometry_error"),  # the turn about x may be none
         ((0.0, 5e-3, 0.0), 0.0, ""),
-        ((0.0, 0.0, 3e-4), 0.0, ""),
+        ((0.0, 0.0, 3e-4), 0.0, "geometry_error"),
+        ((3e-4, 0.0, 1e-4), 0.0, ""),
     ],
 )
 def test_a_turn_about_the_first_axis_may_be_that_axis_zero(turn: tuple[float, float, float], se: float, also: str) -> None:

@@ -12,7 +12,7 @@ import synthetic
 from irec_calibration.codec import pose_data
 from irec_calibration.diagnose.comparison import compare
 from irec_calibration.diagnose.study import prepare
-from irec_calibration.identification.gross_errors import mended
+from irec_calibration.identification.gross_errors import mended, wrong_joints
 from irec_calibration.identification.identify import default_terms, identify
 from irec_calibration.identification.observe import observe
 from irec_calibration.identification.outliers import find, treated
@@ -93,6 +93,22 @@ def test_angles_and_position_in_place_of_wrong_ones_are_those_of_one_row(loaded)
 def test_a_reference_with_the_joint_angles_of_another_pose_spoils_its_load_cases(loaded):
     bad = only(changed(loaded, "q", 18, loaded.q[50]))
     assert bad.kind == "joints" and bad.rows == tuple(range(19, 24))
+
+
+@pytest.mark.parametrize("by", ["tcp_*", "the marker"])
+def test_a_pose_all_of_whose_joint_angles_are_those_of_another_pose_is_left_out(loaded, by):
+    mine = np.flatnonzero(loaded.pose == loaded.pose[ROW])
+    spoilt = changed(loaded, "q", mine, loaded.q[loaded.pose == 9])
+    if by == "the marker":  # the controller works its TCP out of the same angles
+        spoilt = replace(spoilt, p_tcp_in_base=spoilt.robot.kinematics(spoilt.q).p_tcp)
+    bad = only(spoilt)
+    assert bad.kind == "joints" and bad.rows == tuple(mine[1:])
+    assert f"joint angles that put {by}" in bad.sentence and "look like those of pose 9" in bad.sentence
+
+
+def test_a_session_most_of_whose_poses_have_the_tcp_elsewhere_loses_none_of_them(loaded):
+    off = changed(loaded, "p_tcp_in_base", slice(None, len(loaded) // 2), loaded.p_tcp_in_base[: len(loaded) // 2] + 0.5)
+    assert wrong_joints(off) == []
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An effect whose fitted values are rather those of another one gives way to that, and takes nothing beside it along."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose.candidates import options, try_option
+from irec_calibration.diagnose.explanation import Explanation, explain
+from irec_calibration.diagnose.family import family_of
+from irec_calibration.diagnose.ground import Ground
+from irec_calibration.diagnose.remainder import grow
+from irec_calibration.diagnose.settings import SETTINGS
+from irec_calibration.diagnose.study import prepare
+from irec_calibration.diagnose.swapped import as_rather
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
+from irec_calibration.model import Term
+
+TURNED = np.array([[0.0, -0.09, 0.0], [0.09, 0.0, 0.0], [0.0, 0.0, 0.0]])
+ONE_SIDED = np.array([[0.0, -0.09, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("wrong_by", "named"), [(TURNED, "sensor_alignment"), (ONE_SIDED, "sensor_gain")], ids=["turned", "one axis reads another"]
+)
+def test_crosstalk_that_turns_the_force_is_a_turned_sensor_in_a_model_on_the_way(wrong_by: np.ndarray, named: str) -> None:
+    clean = synthetic.session(poses=20, seed=4)
+    read = replace(clean, force_in_tool=clean.force_in_tool @ np.linalg.inv(np.eye(3) + wrong_by).T)
+    study = prepare(read, (Term(find_effect("joint_torsion")),))
+    found, _ = options(study, [find_effect("sensor_gain"), find_effect("sensor_alignment")])
+    family = family_of(study)
+    start = Explanation((), study, 0.0, grow(study.bench, family, study.base))
+    trial = try_option(Ground(study.bench, study.base), next(o for o in found if o.effect.id == "sensor_gain"), study.ready)
+    with_gain = explain(start, start, trial, family)
+    assert with_gain is not None
+    one, evidence = as_rather(start, with_gain, {"sensor_gain": 40.0}, found, family, SETTINGS)
+    assert one.ids == (named,) and evidence == {named: 40.0}
+    assert one.log_evidence > with_gain.log_evidence - SETTINGS.nats_to_separate
+
+
+@pytest.mark.parametrize(
+    ("values", "other"),
+    [
+        ({"e_xy": -0.09, "e_yx": 0.08, "e_zy": 0.01}, "sensor_alignment"),
+        ({"e_xy": -0.09}, ""),
+        ({"e_xx": 0.05, "e_yy": -0.05}, ""),
+        ({}, ""),
+    ],
+)
+def test_what_crosstalk_is_rather(values: dict[str, float], other: str) -> None:
+    assert find_effect("sensor_gain").rather(values, {}, scene_of(synthetic.session(poses=2))) == other
