@@ -10,6 +10,7 @@ from math import prod
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..effects import Effect, parameters_of
 from ..effects.scene import Scene
@@ -141,7 +142,7 @@ class _Turned:
     effect: Effect
     mover: Effect
     rows: Rows
-    columns: Array
+    columns: NDArray[np.float32]
     pressed: dict[bytes, Array]
     values: dict[bytes, Array]
 
@@ -203,7 +204,7 @@ def displacement_at(effect: Effect, theta: Array, scene: Scene) -> Array:
     return moved
 
 
-def _at(columns: Array, theta: Array) -> Array:
+def _at(columns: Array | NDArray[np.float32], theta: Array) -> Array:
     """Columns (..., p) times values (p,): as one product, since numpy makes thousands of small ones of it."""
     each = columns.shape[:-1]
     return np.asarray(columns.reshape(prod(each), len(theta)) @ theta.astype(columns.dtype, copy=False)).reshape(each)
