@@ -23,9 +23,9 @@ USUAL_M, USUAL_RAD = 0.6e-3, 0.6e-3
 # Largest that is physically likely: a zero of a lost mastering, rad or m; a place, m, and a tilt, rad, of an axis. Chosen smaller
 # where differences have to tell them, in a loaded session: larger ones were found there only where something else was missing.
 ZERO, PLACE, TILT, PLACE_IN_DIFFERENCES, TILT_IN_DIFFERENCES = 0.1, 0.05, 0.05, 0.015, 0.012
-# Prior of tilts of the last axis, of that of others, where differences have to tell them: a tool that stands otherwise is another
-# place of the marker, and what it makes of the force's direction is an error of the force sensor, which was called a wrong axis
-LAST_TILTS = 0.03
+# Prior of place and tilts of the last axis, of that of others, where differences have to tell them: a tool that is or stands
+# elsewhere is another place of the marker, and what it makes of the force's direction is an error of the force sensor
+LAST = 0.03
 ORDER = [3, 0, 1, 2, 4, 5]  # of the parameters of a joint among translation, zero, tilts
 
 
@@ -43,7 +43,7 @@ class GeometryError(Effect):
     cause = Cause.STATE
     usual_visible = 0.006  # chosen; of outside simulators, without a cause up to 0.4 %, with one 1.1 % and more
     usual_alone = 0.025  # chosen; links of a good robot leave less, whatever way a reference is away from its load cases
-    usual_beside = 0.1  # chosen; what mended other causes on outside simulators was seen by 7.5 %, wrong links by 10 to 18 %
+    usual_beside = 0.05  # chosen; what mended other causes on outside simulators was seen by 3 % at most, wrong links by 6.5
     needs = ("tracker",)
     in_readings = True
     moves_joints = True
@@ -56,7 +56,7 @@ class GeometryError(Effect):
         last = int(np.flatnonzero(scene.driven)[-1]) if scene.driven.any() else -1
         for k in range(scene.n_joints):
             group = f"axis {k + 1}"
-            width = 1.0 if base or k != last else LAST_TILTS
+            width = 1.0 if base or k != last else LAST
             slides = bool(scene.kin.is_prismatic[k])
             unit = "m" if slides else "rad"
             out.append(
@@ -66,7 +66,9 @@ class GeometryError(Effect):
             )
             for a in "xyz":
                 name = f"{a}_{k + 1}"
-                out.append(Parameter(name, "m", 1e-3, low, high, plausible=(-place, place), group=group, flat=base, axis=k))
+                out.append(
+                    Parameter(name, "m", 1e-3, low, high, plausible=(-place, place), group=group, flat=base, width=width, axis=k)
+                )
             for v in "ab":
                 name = f"tilt_{k + 1}{v}"
                 out.append(

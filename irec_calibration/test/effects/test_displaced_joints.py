@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import absolute_sessions
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -139,3 +140,11 @@ def test_beside_a_wrong_link_predictions_are_of_the_arm_that_stands_there():
 
 def test_a_response_that_nobody_asks_by_geometry_has_none():
     assert elastic_response(_soft(SCENE), SCENE).by_geometry is None
+
+
+def test_differences_are_not_asked_where_the_last_axis_is_and_how_it_is_tilted():
+    """Another place of the marker, and an error of the force sensor, do the same; its zero is asked as that of others."""
+    own = {p.name: p.prior_width for p in GEOMETRY.parameters(SCENE)}
+    rarely = {n for n, width in own.items() if width < 0.1 * own["x_5"]}
+    assert rarely == {"x_6", "y_6", "z_6", "tilt_6a", "tilt_6b"}
+    assert all(p.prior_width == np.inf for p in GEOMETRY.parameters(scene_of(absolute_sessions.session(poses=4))))
