@@ -21,7 +21,7 @@ from .bad_readings import too_many_aside
 from .build import Built
 from .candidates import Trial
 from .evidence import Block
-from .explanation import Explanation, also_called, cause_if_alone, usual
+from .explanation import Explanation, also_called, cause_though_usual, usual
 from .family import Family
 from .flexible import Flexible, flexible_gain
 from .ground import Ground
@@ -162,7 +162,7 @@ def assess(
         if also and also not in (*final.ids, *(n for n, _ in rivals)):
             rivals = (*rivals, (also, 0.0))
         as_everywhere = usual(final, i) or usual(lean, i)
-        if as_everywhere and not cause_if_alone(final, i, noise.inferred_m, beside=True):
+        if as_everywhere and not cause_though_usual(final, i, noise.inferred_m, beside=True):
             as_usual.append(i)
         elif rivals:
             one_of.append(tuple(n for _, n in sorted([(0.0, i), *((odds, r) for r, odds in rivals)])))
@@ -170,7 +170,7 @@ def assess(
             names.append(i)
     weight = readings is not None and readings.log_evidence > settings.nats_to_name
     if not (names or one_of or weight):  # a session that shows a usual effect and nothing else is more than noise
-        names = [i for i in as_usual if cause_if_alone(final, i, noise.inferred_m)]
+        names = [i for i in as_usual if cause_though_usual(final, i, noise.inferred_m)]
         as_usual = [i for i in as_usual if i not in names]
     names.sort(key=lambda i: -built.evidence.get(i, 0.0))
     curve = of_one_curve(names, pruned.parts, final.ids) if study.ready.kind == "loaded" else ()

@@ -217,9 +217,9 @@ def usual(one: Explanation, effect_id: str) -> bool:
     return effect_id in small and _visible(one, small, moved) <= sum(most[i] for i in small)
 
 
-def cause_if_alone(one: Explanation, effect_id: str, noise: float, *, beside: bool = False) -> bool:
-    """Whether an effect that is as large as in every robot is the cause where a loaded session has no other: so much of it is
-    seen that the session shows more than noise.
+def cause_though_usual(one: Explanation, effect_id: str, noise: float, *, beside: bool = False) -> bool:
+    """Whether an effect that is as large as in every robot is a cause of a loaded session all the same: so much of it is seen
+    that the session shows more than noise.
 
     Args:
         noise: of a sample, as inferred, m. beside: it has others, whose forms this one may mend.

@@ -43,7 +43,7 @@ class GeometryError(Effect):
     cause = Cause.STATE
     usual_visible = 0.006  # chosen; of outside simulators, without a cause up to 0.4 %, with one 1.1 % and more
     usual_alone = 0.025  # chosen; links of a good robot leave less, whatever way a reference is away from its load cases
-    usual_beside = 0.05  # chosen; what mended other causes on outside simulators was seen by 3 % at most, wrong links by 6.5
+    usual_beside = 0.05  # chosen; what mended other causes on outside simulators was seen by 3 % at most, wrong links by 2 to 12
     needs = ("tracker",)
     in_readings = True
     moves_joints = True

@@ -10,7 +10,7 @@ import numpy as np
 from ..session.data import Session
 from ..session.plausible_place import MARKER_M
 from ..session.plausible_tcp import MANY_ROWS, TCP_M
-from ..typing import BoolArray, IntArray
+from ..typing import Array, BoolArray, IntArray
 from .bad_rows import BadRow, place
 from .settings import OUTLIERS
 
@@ -143,12 +143,8 @@ def _not_there(session: Session) -> list[tuple[IntArray, str]]:
     controller, or the tracker, has it, with the words; none where that is so in many."""
     if session.kind != "loaded":
         return []
-    kin = session.robot.kinematics(session.q)
-    R, at = np.stack([s.R_in_base for s in session.stations]), np.array([s.xyz for s in session.stations])
-    seen = np.einsum("nij,nj->ni", R[session.station], session.p_marker_in_station) + at[session.station]
-    xyz = np.array([m.xyz for m in session.markers])[session.marker]
-    believed = kin.p_tcp + np.einsum("nij,nj->ni", kin.R_tool, xyz)
-    of_tcp = np.linalg.norm(kin.p_tcp - session.p_tcp_in_base, axis=1)
+    believed, seen = _markers(session)
+    of_tcp = np.linalg.norm(session.robot.kinematics(session.q).p_tcp - session.p_tcp_in_base, axis=1)
     of_marker = np.where(session.marker_seen & session.on_tool, np.linalg.norm(seen - believed, axis=1), np.nan)
     out = []
     _, index = np.unique(np.column_stack([session.pose, session.repeat]), axis=0, return_inverse=True)
@@ -179,11 +175,7 @@ def _seen_there(session: Session, rows: IntArray, index: IntArray) -> BoolArray:
     out = np.zeros(len(rows), dtype=bool)
     if not len(rows):
         return out
-    kin = session.robot.kinematics(session.q)
-    xyz = np.array([m.xyz for m in session.markers])[session.marker]
-    believed = kin.p_tcp + np.einsum("nij,nj->ni", kin.R_tool, xyz)
-    R = np.stack([s.R_in_base for s in session.stations])[session.station]
-    measured = np.einsum("nij,nj->ni", R, session.p_marker_in_station)
+    believed, measured = _markers(session)
     alike = session.marker_seen & session.on_tool
     for i, row in enumerate(rows):
         others = np.flatnonzero((index == index[row]) & alike & (session.station == session.station[row]))
@@ -193,6 +185,15 @@ def _seen_there(session: Session, rows: IntArray, index: IntArray) -> BoolArray:
             most = max(OUTLIERS.seen_there_m, OUTLIERS.seen_there * float(np.linalg.norm(moved)))
             out[i] = np.linalg.norm(moved - seen) < most
     return out
+
+
+def _markers(session: Session) -> tuple[Array, Array]:
+    """Where joint angles put the marker of each row on the tool, and where it was measured, in base_link, (n, 3) each, m."""
+    kin, of = session.robot.kinematics(session.q), session.station
+    xyz = np.array([m.xyz for m in session.markers])[session.marker]
+    R, at = np.stack([s.R_in_base for s in session.stations])[of], np.array([s.xyz for s in session.stations])[of]
+    measured = np.einsum("nij,nj->ni", R, session.p_marker_in_station) + at
+    return kin.p_tcp + np.einsum("nij,nj->ni", kin.R_tool, xyz), measured
 
 
 def _grouped(index: IntArray) -> list[IntArray]:

@@ -12,7 +12,7 @@ import synthetic
 from irec_calibration.commands.improve import in_words
 from irec_calibration.diagnose import Ladder, assessment, diagnose, explanation, improve, start_terms
 from irec_calibration.diagnose.assessment import as_in_every_robot
-from irec_calibration.diagnose.explanation import Explanation, cause_if_alone, usual
+from irec_calibration.diagnose.explanation import Explanation, cause_though_usual, usual
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.improve import with_term
 from irec_calibration.diagnose.remainder import grow
@@ -186,13 +186,13 @@ def test_usual_links_are_a_cause_where_more_than_noise_is_seen_of_them(
     seen = of_deflection * (GEOMETRY.usual_beside if beside else GEOMETRY.usual_alone) * rms(springs)
     monkeypatch.setattr(explanation, "_visible", lambda one, ids, moved: seen * np.sqrt(len(springs)))
     noise = seen / (of_noise * SETTINGS.usual_beside_noise)
-    assert cause_if_alone(one, "geometry_error", noise, beside=beside) == expected
+    assert cause_though_usual(one, "geometry_error", noise, beside=beside) == expected
 
 
 @pytest.mark.parametrize(("cause", "status"), [(True, "missing_effect"), (False, "adequate")])
 def test_such_a_session_is_not_adequate(monkeypatch, cause, status) -> None:
     monkeypatch.setattr(type(find_effect("marker_offset")), "is_usual", lambda self, values, share, scene: True)
-    monkeypatch.setattr(assessment, "cause_if_alone", lambda one, effect_id, noise, beside=False: cause and not beside)
+    monkeypatch.setattr(assessment, "cause_though_usual", lambda one, effect_id, noise, beside=False: cause and not beside)
     verdict = diagnose(synthetic.session(poses=20, seed=5, extra=marker_elsewhere)).verdict
     named, usual_ = (("marker_offset",), ()) if cause else ((), ("marker_offset",))
     assert (verdict.status, verdict.effects, verdict.usual) == (status, named, usual_)
