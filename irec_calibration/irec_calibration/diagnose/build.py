@@ -28,7 +28,7 @@ from .settings import SETTINGS, Settings
 from .several import Tried, several_together
 from .standing import all_stand, proven, pruned
 from .study import Study
-from .swapped import as_rather
+from .swapped import as_rather, told_apart
 from .tries import step, tried_on, two_together, waiting
 
 Look = Callable[[Explanation, Family], "Observation | None"]  # the observation as a model asks to see it, if that is otherwise
@@ -115,7 +115,8 @@ class _Way:
         found = [o for o in self.found if o.effect.id not in fallen]
         while True:
             wider = with_more_parts(self.steps[-1], self.family, self.check, self.settings)
-            self.steps[-1], self.evidence = as_rather(self.start, wider, self.evidence, found, self.family, self.settings)
+            one, odds = as_rather(self.start, wider, self.evidence, found, self.family, self.settings)
+            self.steps[-1], self.evidence = told_apart(self.start, one, odds, found, self.family, self.settings)
             if len(self.steps[-1].added) >= self.settings.most_names:
                 return None
             self.check()

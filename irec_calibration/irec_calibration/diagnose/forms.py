@@ -9,7 +9,7 @@ from ..effects import Cause, Effect
 from ..effects import Family as Alike
 from ..effects.joint_ripple import FEWEST
 from ..effects.scene import Scene
-from ..effects.thermal_drift import OF_ARM
+from ..effects.thermal_drift import LEANING, OF_ARM
 from ..model import Term
 from .family import Structure
 
@@ -96,7 +96,7 @@ def courses(term: Term, scene: Scene) -> frozenset[str]:
     if not forms_of(term, scene).drifts:
         return frozenset()
     groups = {p.group for p in term.effect.parameters(scene) if p.name in term.estimates}
-    found = {g.removesuffix(OF_ARM) for g in groups}
+    found = {g.removesuffix(OF_ARM).removesuffix(LEANING) for g in groups}
     return frozenset("stamp" if g == "time" else g for g in found if g == "time" or g.startswith("temp_"))
 
 

@@ -38,6 +38,8 @@ from .study import Study, study_of
 
 NO_LAW = {"wandering"}  # evidence of what goes by itself
 REPEATS = re.compile(r"([\d.]+) \* q_")
+WAVE = re.compile(r"(?<=(?:cos|sin)\()(?:([\d.]+) \* )?q_(\d+)(?=\))")  # what a law of an angle turns with
+SEEN_TO_REPEAT = 2.0  # periods of the angles of a session, from which a law is carried on beyond them
 BISECTIONS = 4  # of the poses, at most: into 16 regions
 FEWEST_IN_REGION = 2  # poses
 
@@ -80,7 +82,7 @@ def _best(
         if refitted == settings.laws.refitted:
             break
         refitted += 1
-        effect = FormulaEffect(_id(law.formula, {t.effect.id for t in plain.terms}), law.formula)
+        effect = FormulaEffect(_id(law.formula, {t.effect.id for t in plain.terms}), within_angles(law.formula, plain.ready.q))
         try:
             made = validated(session, (*plain.terms, Term(effect)))
         except SolveError:
@@ -113,6 +115,23 @@ def _likely(
         return (nats >= least or bool({"time", "temperature"} & set(law.needs))) and _may(law, study.ready, settings)
 
     return [one for one in weighed(study, remainder, variables, check, settings) if may(one[0], one[2])]
+
+
+def within_angles(formula: str, q: Array) -> str:
+    """A law with the angles of its waves held at the ends of what a session has of them, but for waves seen to repeat.
+
+    Args:
+        q: joint angles of the session, (n, k), rad.
+    """
+
+    def held(wave: re.Match[str]) -> str:
+        often, joint = float(wave[1] or 1.0), int(wave[2])
+        low, high = np.floor(100.0 * q[:, joint - 1].min()) / 100.0, np.ceil(100.0 * q[:, joint - 1].max()) / 100.0
+        if often * (high - low) >= SEEN_TO_REPEAT * 2.0 * np.pi:
+            return wave[0]
+        return f"{wave[1]} * clip(q_{joint}, {low:g}, {high:g})" if wave[1] else f"clip(q_{joint}, {low:g}, {high:g})"
+
+    return WAVE.sub(held, formula)
 
 
 def _share(study: Study, effect_id: str) -> float:

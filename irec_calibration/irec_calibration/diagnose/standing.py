@@ -17,6 +17,7 @@ from .family import Family
 from .form_errors import evidence_beside, feigned
 from .forms import Forms, bends, courses, forms_of, has_form_of
 from .held_out import held_out, only_good_poses
+from .more_parts import with_more_parts
 from .naming import needed, odds_of
 from .parts import without_columns
 from .remainder import Part
@@ -80,6 +81,10 @@ def standing(start: Explanation, one: Explanation, family: Family, settings: Set
     while one.added:
         bare = {i: without(start, one, i, family) for i in one.ids}
         evidence = {i: odds_of(start, one, b, i, family, settings) for i, b in bare.items()}
+        # what a name explains further parts of the others may, too, which nobody has asked beside it
+        for i in [i for i, nats in evidence.items() if nats < settings.nats_plainly and len(one.added) > 1]:
+            bare[i] = with_more_parts(bare[i], family, lambda: None, settings)
+            evidence[i] = min(evidence[i], odds_of(start, one, bare[i], i, family, settings))
         weak = _weak(start, one, bare, evidence, family, settings)
         if not weak:
             most = min(most, one.remainder.without_a_name)

@@ -257,6 +257,15 @@ class Effect(ABC):
         """
         return ""
 
+    def holds(self, values: Mapping[str, float]) -> tuple[str, dict[str, float], frozenset[str]] | None:
+        """Another effect that a part of this one is by itself: its id, its values, and the parameters that are that part; None
+        where there is none.
+
+        Args:
+            values: of each parameter that was fitted.
+        """
+        return None
+
     def not_told(self, scene: Scene) -> str:
         """Why no session like that of a scene tells the effect from others, whatever its values: it is not weighed then; else
         empty."""

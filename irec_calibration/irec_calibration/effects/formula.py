@@ -48,6 +48,7 @@ FUNCTIONS: dict[str, Callable[..., Array]] = {
 }  # fmt: skip
 CONSTANTS = {"pi": np.pi}
 ARGUMENTS = {"min": 2, "max": 2, "clip": 3}  # of the others one; clip(x, lowest, highest)
+HELD = re.compile(r"clip\((q_\d+), [-.\d]+, [-.\d]+\)")  # an angle that a law holds at the ends of what was seen of it
 LOAD_VARIABLE = r"tau(_\d+)?|[fb]_[xyz]|load"
 TARGET = re.compile(
     r"\s*(?:axis\s+(?P<axis>\d+)|link\s+(?P<link>\d+)(?P<across>[ab])|(?P<frame>tool|base)\s+(?P<along>[xyz]))\s*"
@@ -141,9 +142,10 @@ class FormulaEffect(Effect):
 
     @property
     def in_short(self) -> str:
-        """The formula where a line holds it, else what it gives and by what."""
-        if len(self.formula) <= LINE:
-            return self.formula
+        """The formula, without the ends at which angles are held, where a line has room; else what it gives and by what."""
+        free = HELD.sub(r"\1", self.formula)
+        if len(free) <= LINE:
+            return free
         return f"{self.formula.partition(':')[0].strip()}: by {', '.join(sorted(self._read))}"
 
     def no_live_form(self) -> LeftOut | Refused | None:

@@ -18,6 +18,7 @@ NAMES = ("e_xx", "e_yy", "e_xy", "e_xz", "e_yx", "e_yz", "e_zx", "e_zy")
 LIMIT = 0.5
 LEAST_BESIDE_TURNING = 0.1  # of the turning part, that E has besides: axes that read each other by chance don't turn the force
 MOST_BESIDE_TURNING = 0.5  # likewise, of a matrix that is rather a turned sensor, where that explains as much
+LEAST_TURN, ALIKE = 0.02, 0.15  # rad; share of it by which the two axes that a turn mixes differ from one another; chosen
 
 
 def crosstalk(theta: Array) -> Array:
@@ -57,6 +58,17 @@ class SensorGain(Effect):
         E = crosstalk(np.array([values.get(n, 0.0) for n in NAMES]))
         mostly_turns = np.linalg.norm(E + E.T) <= MOST_BESIDE_TURNING * np.linalg.norm(E - E.T)
         return "sensor_alignment" if mostly_turns and np.any(E) else ""
+
+    def holds(self, values: Mapping[str, float]) -> tuple[str, dict[str, float], frozenset[str]] | None:
+        """Two axes across the flange's that read each other alike, with opposite signs: a sensor that is bolted on turned."""
+        pair = "e_xy", "e_yx"
+        if not set(pair) <= set(values):
+            return None
+        xy, yx = (values[n] for n in pair)
+        turns = 0.5 * (yx - xy)
+        if abs(turns) < LEAST_TURN or abs(yx + xy) > 2.0 * ALIKE * abs(turns):
+            return None
+        return "sensor_alignment", {"w_z": turns}, frozenset(pair)
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         """Crosstalk that turns the force, by more than its errors, and does nothing else beyond them may be a turned sensor."""

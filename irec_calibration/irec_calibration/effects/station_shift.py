@@ -17,7 +17,8 @@ class StationShift(Effect):
     id = "station_shift"
     label = "station shift"
     physics = (
-        "A station was moved or bumped: every measured position from one sample on is shifted. In a loaded session it "
+        "A station was moved or bumped: every measured position from one sample on is shifted, and in an absolute session, "
+        "which sees the whole workspace from it, turned about the station. In a loaded session it "
         "breaks the pair of reference and loaded rows of one pose; poses that are wholly before or after do not see it."
     )
     family = Family.TIME
@@ -36,18 +37,33 @@ class StationShift(Effect):
         between = tuple(float(t) for t in moments)
         if not between:
             return ()
-        shift = [Parameter(f"d_{a}", "m", 1e-4, plausible=(-0.05, 0.05)) for a in AXES]
+        tilts = scene.kind == "absolute"
+        shift = [Parameter(f"d_{a}", "m", 1e-4, plausible=(-0.05, 0.05), group="shift" if tilts else "") for a in AXES]
+        if tilts:
+            shift += [Parameter(f"r_{a}", "rad", 1e-4, plausible=(-0.02, 0.02), group="tilt") for a in AXES]
         middle = between[len(between) // 2]
         course = float(stamps[-1] - stamps[0])
         return (*shift, Parameter("t_shift", "s", course, stamps[0], stamps[-1], start=middle, grid=between))
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
-        return (scene.stamp > theta[3])[:, None] * theta[:3]
+        out: Array = self._columns(scene, theta) @ theta[:-1]
+        return out
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
-        out = np.zeros((len(scene), 3, 4))
-        out[:, :, :3] = (scene.stamp > theta[3])[:, None, None] * np.eye(3)
-        return out
+        return np.concatenate([self._columns(scene, theta), np.zeros((len(scene), 3, 1))], axis=2)
+
+    def _columns(self, scene: Scene, theta: Array) -> Array:
+        ways = np.tile(np.eye(3), (len(scene), 1, 1))
+        if scene.kind == "absolute":
+            ways = np.concatenate([ways, turned_about_station(scene)], axis=2)
+        return np.asarray((scene.stamp > theta[-1])[:, None, None] * ways)
+
+
+def turned_about_station(scene: Scene) -> Array:
+    """How each row moves where its station turns about x, y, z of base_link, (n, 3, 3), m/rad; none in predictions."""
+    if scene.measured_from_station is None:
+        return np.zeros((len(scene), 3, 3))
+    return np.cross(np.eye(3)[None], scene.noise_free_from_station()[:, None]).swapaxes(1, 2)
 
 
 def _parts_a_pose(scene: Scene, moments: Array) -> BoolArray:

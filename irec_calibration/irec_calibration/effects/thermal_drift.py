@@ -10,10 +10,12 @@ import numpy as np
 from ..typing import Array
 from .base import Effect, Parameter
 from .scene import Scene
+from .station_shift import turned_about_station
 from .traits import Cause, Family
 
 AXES = ("x", "y", "z")
 OF_ARM = " of the arm"  # what a course drives there, in the name of its part
+LEANING = ", leaning"  # the tracker's stand, likewise
 SLOWER = 5.0  # times as long as what warms up first takes what does so beside it
 
 
@@ -24,8 +26,8 @@ class ThermalDrift(Effect):
         "Links and tracker stand grow while the cell warms up: v T (1 - exp(-t/T)), which is v t for a long T, beside it what "
         "takes five times as long, w in place of v, where longer is 1, or in proportion to a logged temperature. The arm does so "
         "too: in absolute sessions it grows from base_link outwards, in loaded ones each link from one joint to the next, and "
-        "links that bow turn what is beyond (turn_k). Missing, the residual grows with the time since the reference and is blind "
-        "to force."
+        "links that bow turn what is beyond (turn_k). In absolute sessions a stand that leans is seen, too. Missing, the "
+        "residual grows with the time since the reference and is blind to force."
     )
     family = Family.TIME
     cause = Cause.TIME
@@ -90,13 +92,16 @@ def _of_driver(scene: Scene, name: str, per: str, scale: float, most: float, gro
     out.append(Parameter(f"{name}_growth", f"1/{per}", scale / REACH, plausible=(-growth, growth), group=at))
     if _watches_base(scene):
         out += [Parameter(f"{name}_{a}_arm", f"m/{per}", scale, plausible=(-most, most), group=at) for a in AXES]
-    return out
+    leans = f"{group}{LEANING}"
+    return out + [
+        Parameter(f"{name}_lean_{a}", f"rad/{per}", scale / REACH, plausible=(-growth, growth), group=leans) for a in AXES
+    ]
 
 
 def _ways(scene: Scene) -> Array:
     """How each row moves by one unit of a course: all that the station sees along x, y, z; in absolute sessions an arm that grows
-    in all directions from base_link, and, where markers on the base tell the stand from the arm, the arm alone along x, y, z; in
-    loaded ones the links of the arm, each by its length, and those that bow."""
+    in all directions from base_link, where markers on the base tell the stand from the arm the arm alone along x, y, z, and a
+    stand that leans about x, y, z; in loaded ones the links of the arm, each by its length, and those that bow."""
     along = np.tile(np.eye(3), (len(scene), 1, 1))
     if scene.kind != "absolute":
         grown = np.diff(scene.kin.origin, axis=1)[:, _links(scene)].swapaxes(1, 2) * scene.moves_with_arm[:, None, None]
@@ -105,7 +110,7 @@ def _ways(scene: Scene) -> Array:
     ways = [along, arm * scene.p_observed[:, :, None]]
     if _watches_base(scene):
         ways.append(arm * along)
-    return np.concatenate(ways, axis=2)
+    return np.concatenate([*ways, turned_about_station(scene)], axis=2)
 
 
 def _links(scene: Scene) -> list[int]:

@@ -20,6 +20,17 @@ def travel_to_reference(scene: Scene) -> Array:
     return np.asarray(travel[stands])
 
 
+def added_in_turn(a: Array, b: Array) -> Array:
+    """y_i = a_i y_(i-1) + b_i along the first axis, from y = 0 on; composed as in `clipped_in_turn`."""
+    y = b.copy()
+    step = 1
+    while step < len(y) and a.any():
+        y[step:] += a[step:] * y[:-step]
+        a = np.concatenate([np.zeros_like(a[:step]), a[step:] * a[:-step]])
+        step *= 2
+    return y
+
+
 def clipped_in_turn(a: Array | float, b: Array | float, low: Array, high: Array) -> Array:
     """y_i = clip(a_i y_(i-1) + b_i, low_i, high_i) with a_i >= 0 along the first axis, from y = 0 on.
 

@@ -12,7 +12,7 @@ import pytest
 import synthetic
 from irec_calibration.diagnose import Ladder, improve
 from irec_calibration.diagnose.evidence import Block
-from irec_calibration.diagnose.laws import _may, helps_elsewhere, regions
+from irec_calibration.diagnose.laws import _may, helps_elsewhere, regions, within_angles
 from irec_calibration.diagnose.proposals import _formulas
 from irec_calibration.effects.formula import FormulaEffect
 from irec_calibration.effects.of_session import scene_of
@@ -25,6 +25,10 @@ from test_proposals import compliance_waves_over_the_turn_of_axis_3
 @pytest.fixture(scope="module")
 def ladder() -> Ladder:
     return improve(synthetic.session(poses=24, seed=8, extra=compliance_waves_over_the_turn_of_axis_3))
+
+
+def in_a_line(ladder) -> str:
+    return FormulaEffect("law", ladder.rungs[-1].formula).in_short
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +46,7 @@ def test_a_law_predicts_what_no_effect_has(ladder):
 def test_a_law_is_no_diagnosis(ladder):
     assert (ladder.before.verdict.status, ladder.before.verdict.effects) == ("unexplained", ())
     assert ladder.rungs[-1].stands_in
-    said = f"the law '{ladder.rungs[-1].formula}' to predict what has no name, which is no diagnosis"
+    said = f"the law '{in_a_line(ladder)}' to predict what has no name, which is no diagnosis"
     assert said in ladder.before.verdict.text
 
 
@@ -55,7 +59,7 @@ def test_the_ladder_has_the_formula_of_a_law_and_of_nothing_else(ladder):
 def test_the_report_shows_the_formula(ladder, tmp_path):
     session = synthetic.session(poses=24, seed=8, extra=compliance_waves_over_the_turn_of_axis_3)
     page = write_ladder_report(ladder, session, tmp_path)[0].read_text(encoding="utf-8")
-    assert f"+ {ladder.rungs[-1].formula} (no name)" in page
+    assert f"+ {in_a_line(ladder)} (no name)" in page
 
 
 def test_a_model_file_keeps_a_law(ladder, tmp_path):
@@ -99,6 +103,18 @@ def test_a_law_that_no_correction_could_use_is_left_to_people(warm):
 )
 def test_where_nothing_presses_an_axis_turns_slowly_by_its_own_angle_and_torque_only(formula, may, warm):
     assert _may(FormulaEffect("law", formula), replace(warm, rows=replace(warm.rows, kind="absolute"))) == may
+
+
+def test_a_law_of_an_angle_is_held_where_no_pose_was():
+    q = np.array([[0.0, -2.207], [0.0, 0.816]])
+    law = within_angles("axis 2: tau * (a * cos(2 * q_2) + b * sin(2 * q_2))", q)
+    assert law == "axis 2: tau * (a * cos(2 * clip(q_2, -2.21, 0.82)) + b * sin(2 * clip(q_2, -2.21, 0.82)))"
+    assert within_angles("axis 2: a * cos(q_2)", q) == "axis 2: a * cos(clip(q_2, -2.21, 0.82))"
+
+
+def test_a_law_that_was_seen_to_repeat_is_carried_on():
+    law = "axis 2: tau * (a * cos(9 * q_2) + b * sin(9 * q_2))"
+    assert within_angles(law, np.array([[0.0, -2.207], [0.0, 0.816]])) == law
 
 
 def test_a_law_that_follows_time_and_no_load_predicts_nothing(warm):

@@ -112,6 +112,7 @@ def test_what_an_outweighed_name_explained_is_no_unknown_cause_beside_the_others
     weak = ["thermal_drift"] if weakest == "too weak" else []
     monkeypatch.setattr(standing, "without", lambda start, one, i, family: less.get((one.ids, i), none))
     monkeypatch.setattr(standing, "odds_of", lambda start, one, bare, i, *_: 10.0 if i == "thermal_drift" else 15.0)
+    monkeypatch.setattr(standing, "with_more_parts", lambda bare, *_: bare)
     monkeypatch.setattr(standing, "_weak", lambda start, one, *_: [i for i in weak if i in one.ids])
     monkeypatch.setattr(standing, "in_one_pose", lambda *_: False)
     monkeypatch.setattr(standing, "shown_by_readings", lambda *_: 0.0)

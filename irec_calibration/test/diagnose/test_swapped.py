@@ -15,19 +15,18 @@ from irec_calibration.diagnose.ground import Ground
 from irec_calibration.diagnose.remainder import grow
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.study import prepare
-from irec_calibration.diagnose.swapped import as_rather
+from irec_calibration.diagnose.swapped import as_rather, told_apart
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.model import Term
 
 TURNED = np.array([[0.0, -0.09, 0.0], [0.09, 0.0, 0.0], [0.0, 0.0, 0.0]])
 ONE_SIDED = np.array([[0.0, -0.09, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+BOTH = np.array([[0.0, -0.09, 0.05], [0.09, 0.0, 0.0], [0.0, -0.06, 0.0]])
 
 
-@pytest.mark.parametrize(
-    ("wrong_by", "named"), [(TURNED, "sensor_alignment"), (ONE_SIDED, "sensor_gain")], ids=["turned", "one axis reads another"]
-)
-def test_crosstalk_that_turns_the_force_is_a_turned_sensor_in_a_model_on_the_way(wrong_by: np.ndarray, named: str) -> None:
+def _with_gain(wrong_by: np.ndarray) -> tuple:
+    """Start, the model with sensor_gain on it, what else could come in, and the family, where the force is read wrongly."""
     clean = synthetic.session(poses=20, seed=4)
     read = replace(clean, force_in_tool=clean.force_in_tool @ np.linalg.inv(np.eye(3) + wrong_by).T)
     study = prepare(read, (Term(find_effect("joint_torsion")),))
@@ -35,11 +34,50 @@ def test_crosstalk_that_turns_the_force_is_a_turned_sensor_in_a_model_on_the_way
     family = family_of(study)
     start = Explanation((), study, 0.0, grow(study.bench, family, study.base))
     trial = try_option(Ground(study.bench, study.base), next(o for o in found if o.effect.id == "sensor_gain"), study.ready)
-    with_gain = explain(start, start, trial, family)
-    assert with_gain is not None
+    one = explain(start, start, trial, family)
+    assert one is not None
+    return start, one, found, family
+
+
+@pytest.mark.parametrize(
+    ("wrong_by", "named"), [(TURNED, "sensor_alignment"), (ONE_SIDED, "sensor_gain")], ids=["turned", "one axis reads another"]
+)
+def test_crosstalk_that_turns_the_force_is_a_turned_sensor_in_a_model_on_the_way(wrong_by: np.ndarray, named: str) -> None:
+    start, with_gain, found, family = _with_gain(wrong_by)
     one, evidence = as_rather(start, with_gain, {"sensor_gain": 40.0}, found, family, SETTINGS)
     assert one.ids == (named,) and evidence == {named: 40.0}
     assert one.log_evidence > with_gain.log_evidence - SETTINGS.nats_to_separate
+
+
+@pytest.mark.parametrize(
+    ("wrong_by", "named"),
+    [(BOTH, ("sensor_gain", "sensor_alignment")), (ONE_SIDED, ("sensor_gain",))],
+    ids=["turned besides", "one axis reads another"],
+)
+def test_a_turned_sensor_that_crosstalk_holds_besides_is_an_effect_of_its_own(wrong_by: np.ndarray, named: tuple) -> None:
+    start, with_gain, found, family = _with_gain(wrong_by)
+    one, evidence = told_apart(start, with_gain, {"sensor_gain": 40.0}, found, family, SETTINGS)
+    assert one.ids == named and set(evidence) == set(named)
+    assert one.log_evidence > with_gain.log_evidence - SETTINGS.nats_to_prefer
+    if "sensor_alignment" in named:
+        assert one.term("sensor_alignment").estimates["w_z"].value == pytest.approx(0.09, abs=0.01)
+        assert not {"e_xy", "e_yx"} & set(one.term("sensor_gain").estimates)
+
+
+@pytest.mark.parametrize(
+    ("values", "turned_by"),
+    [
+        ({"e_xy": -0.066, "e_yx": 0.070, "e_xz": 0.04}, 0.068),
+        ({"e_xy": -0.066, "e_yx": 0.040}, None),
+        ({"e_xy": -0.012, "e_yx": 0.013}, None),  # no mounting is better
+        ({"e_xy": -0.066}, None),
+    ],
+)
+def test_two_axes_that_read_each_other_alike_are_a_turned_sensor(values: dict, turned_by: float | None) -> None:
+    held = find_effect("sensor_gain").holds(values)
+    assert (held is None) == (turned_by is None)
+    if held is not None:
+        assert held == ("sensor_alignment", {"w_z": pytest.approx(turned_by)}, {"e_xy", "e_yx"})
 
 
 @pytest.mark.parametrize(

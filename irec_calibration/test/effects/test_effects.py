@@ -82,7 +82,8 @@ def test_the_regressor_is_the_derivative_of_the_displacement(effect_id, scene):
     block = effect.regressor(scene, theta)
     assert block.shape == (len(scene), 3, len(parameters))
     for i, p in enumerate(parameters):
-        if p.name in ("t_shift", "memory", "spread", "slow", "uneven", "held"):  # a step in time and switches have no derivative
+        if p.name in ("t_shift", "memory", "spread", "slow", "uneven", "held", "gradual"):
+            # a step in time and switches have no derivative
             continue
         h = np.eye(len(theta))[i] * 1e-3 * ((theta[i] if p.grid else 0.0) or p.scale)
         slope = (effect.displacement(scene, theta + h) - effect.displacement(scene, theta - h)) / (2 * h[i])

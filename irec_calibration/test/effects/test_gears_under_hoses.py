@@ -19,7 +19,7 @@ SOFT, HARDENS, BREAK = 8e-7, -5e-7, 0.05  # rad/(N m), rad/(N m), share of the r
 PULL = (150.0, -90.0, -200.0)  # N in base_link
 LAWS = {
     "joint_stiffening": {f"a_{AXIS + 1}": HARDENS, "x_0": BREAK, "slow": 0.0},
-    "joint_hysteresis": {f"h_{AXIS + 1}": 4e-7, "r": 0.03, "spread": 0.0, "freed": 0.0, "arrived": 0.0},
+    "joint_hysteresis": {f"h_{AXIS + 1}": 4e-7, "r": 0.03, "spread": 0.0, "freed": 0.0, "arrived": 0.0, "gradual": 0.0},
     "joint_backlash": {f"b_{AXIS + 1}": 4e-4, "w": 0.02},
 }
 
@@ -72,6 +72,7 @@ def test_a_stiffening_gear_under_a_hose_turns_by_the_law_of_its_whole_torque(sce
         ("joint_stiffening", {"slow": 0.5}),
         ("joint_stiffening", {"slow": 1.0}),
         ("joint_hysteresis", {"spread": 1.0, "freed": 300.0, "arrived": 0.5, f"early_{AXIS + 1}": 2e-7}),
+        ("joint_hysteresis", {"freed": 300.0, "arrived": 0.5, f"early_{AXIS + 1}": 2e-7, "gradual": 1.0}),
         ("joint_backlash", {f"p_{AXIS + 1}": 2e-4, "uneven": 1.0}),
         ("joint_backlash", {"held": 1.0}),
     ],

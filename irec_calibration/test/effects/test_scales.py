@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.of_session import scene_of
-from irec_calibration.effects.travel import clipped_in_turn
+from irec_calibration.effects.travel import added_in_turn, clipped_in_turn
 from irec_calibration.errors import ModelError
 from irec_calibration.model import Estimate, Model, Term
 from irec_calibration.robot import Robot
@@ -132,6 +132,40 @@ def test_what_is_held_in_turn_is_that_of_one_row_after_the_other(n, seed):
     for i in range(n):
         last = expected[i] = np.clip(a[i] * last + b[i], u[i] - r, u[i] + r)
     np.testing.assert_allclose(clipped_in_turn(a, b, u - r, u + r), expected, atol=1e-12)
+
+
+@given(n=st.integers(1, 40), seed=st.integers(0, 2**16))
+def test_what_adds_up_in_turn_is_that_of_one_row_after_the_other(n, seed):
+    rng = np.random.default_rng(seed)
+    a, b = rng.uniform(0.0, 1.0, (n, 2, 3)) ** 3, rng.normal(size=(n, 2, 3))
+    last, expected = np.zeros((2, 3)), np.empty((n, 2, 3))
+    for i in range(n):
+        last = expected[i] = a[i] * last + b[i]
+    np.testing.assert_allclose(added_in_turn(a, b), expected, atol=1e-12)
+
+
+def test_friction_that_gives_way_gradually_follows_dahl():
+    scene = scene_of(session(40, seed=1))
+    there = np.linspace(0.0, 2.0, len(scene))
+    load = 1000.0 * np.minimum(there, 2.0 - there)[:, None] * [0.0, 0.0, 1.0]
+    scene = scene.with_wrench(load, np.zeros_like(load))
+    hysteresis = find_effect("joint_hysteresis")
+    theta = np.array([{"h_2": 1e-7, "r": 0.03, "gradual": 1.0}.get(p.name, p.start) for p in hysteresis.parameters(scene)])
+    r, tau = 0.03 * rated_torque(scene.robot)[1], (scene.tau_acting + scene.tau_gravity)[:, 1]
+    held = np.zeros(len(tau))
+    for i, d in enumerate(np.diff(tau), start=1):
+        held[i] = r * np.sign(d) + (held[i - 1] - r * np.sign(d)) * np.exp(-abs(d) / r)
+    expected = -1e-7 * held[:, None] * scene.J[:, :, 1]
+    np.testing.assert_allclose(hysteresis.displacement(scene, theta), expected, atol=1e-12)
+
+
+def test_each_way_to_a_reference_frees_friction_whatever_moves_under_the_load():
+    scene = scene_of(session(4, seed=1))
+    stepping = scene.at(replace(scene.arm, step=np.full_like(scene.step, 0.01)), scene.p_observed, scene.tau_gravity)
+    anew, by_motion = (_hysteresis(stepping, r=0.03, h=1e-7, freed=f) for f in (1e4, 4e3))
+    np.testing.assert_allclose(anew, _hysteresis(scene.at(replace(scene.arm, step=np.zeros_like(scene.step)), scene.p_observed,
+                               scene.tau_gravity), r=0.03, h=1e-7, freed=1e4), atol=1e-15)  # fmt: skip
+    assert np.abs(anew - by_motion).max() > 1e-7
 
 
 def test_friction_that_motion_does_not_free_is_held_from_pose_to_pose():
