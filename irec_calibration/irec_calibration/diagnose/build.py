@@ -195,7 +195,7 @@ class _Way:
     def back(self) -> Explanation:
         """Leave the names that do not stand; returns the last model, which may have had more."""
         whole = self.steps[-1]
-        final, self.evidence = proven(self.start, self.steps, self.family, self.settings)
+        final, self.evidence = proven(self.start, self.steps, self.family, self.settings, self.check)
         if final is not whole:
             self.closest, self.reason = whole, "it is no stronger than the structure that no effect explains"
             self.steps = [s for s in self.steps if set(s.ids) < set(final.ids)] + [final]

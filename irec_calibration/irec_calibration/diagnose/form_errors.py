@@ -84,8 +84,8 @@ def feigned(one: Explanation, settings: Settings) -> dict[str, float]:
         forms = forms_of(one.term(effect_id), one.study.ready)
         passes = one.term(effect_id).effect.family is Family.TIME
         others = [(p, v) for p, v in moved if not forms.has(p.structure)]
-        together, own = sum(p.log_evidence for p, _ in others), 0.5 * float(mine @ mine)
-        out[effect_id] = min(TIMES_LARGER * together / max(own, 1e-300), 1.0) * sum(
+        together, explained = sum(p.log_evidence for p, _ in others), 0.5 * float(mine @ mine)
+        out[effect_id] = min(TIMES_LARGER * together / max(explained, 1e-300), 1.0) * sum(
             p.log_evidence * max(_cosine(mine, v) ** 2, 0.0 if passes and p.structure.ripple else settings.share_feigned)
             for p, v in others
         )

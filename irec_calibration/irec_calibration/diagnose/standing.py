@@ -6,7 +6,7 @@ Asked of all others when an effect has come, and of the whole at the end.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +22,8 @@ from .naming import needed, odds_of
 from .parts import without_columns
 from .remainder import Part
 from .settings import Settings
+
+Check = Callable[[], None]
 
 
 def pruned(start: Explanation, one: Explanation, family: Family, settings: Settings) -> Explanation:
@@ -53,7 +55,7 @@ def plainly_needed(one: Explanation, effect_id: str, family: Family, settings: S
 
 
 def proven(
-    start: Explanation, steps: Sequence[Explanation], family: Family, settings: Settings
+    start: Explanation, steps: Sequence[Explanation], family: Family, settings: Settings, check: Check = lambda: None
 ) -> tuple[Explanation, dict[str, float]]:
     """The model with the most names that no structure could feign and that are not too small beside the others; evidence of each.
 
@@ -62,17 +64,19 @@ def proven(
     was there before.
 
     Args:
-        steps: the models on the way, the last has all names.
+        steps: the models on the way, the last has all names. check: raises where the work was cancelled.
     """
-    kept, evidence = standing(start, steps[-1], family, settings)
+    kept, evidence = standing(start, steps[-1], family, settings, check)
     for before in reversed(steps[:-1]):
         if len(before.ids) > len(kept.ids):
-            more, odds = standing(start, before, family, settings)
+            more, odds = standing(start, before, family, settings, check)
             kept, evidence = (more, odds) if len(more.ids) > len(kept.ids) else (kept, evidence)
     return kept, evidence
 
 
-def standing(start: Explanation, one: Explanation, family: Family, settings: Settings) -> tuple[Explanation, dict[str, float]]:
+def standing(
+    start: Explanation, one: Explanation, family: Family, settings: Settings, check: Check = lambda: None
+) -> tuple[Explanation, dict[str, float]]:
     """A model whose weakest name was taken out until all stand, and the evidence of each.
 
     What a name explained that what has no name outweighs is no unknown cause beside the others, once it is taken out.
@@ -83,7 +87,7 @@ def standing(start: Explanation, one: Explanation, family: Family, settings: Set
         evidence = {i: odds_of(start, one, b, i, family, settings) for i, b in bare.items()}
         # what a name explains further parts of the others may, too, which nobody has asked beside it
         for i in [i for i, nats in evidence.items() if nats < settings.nats_plainly and len(one.added) > 1]:
-            bare[i] = with_more_parts(bare[i], family, lambda: None, settings)
+            bare[i] = with_more_parts(bare[i], family, check, settings)
             evidence[i] = min(evidence[i], odds_of(start, one, bare[i], i, family, settings))
         weak = _weak(start, one, bare, evidence, family, settings)
         if not weak:
