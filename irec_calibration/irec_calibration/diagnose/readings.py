@@ -138,10 +138,15 @@ def against(study: Study, term: Term) -> str:
     """Why an effect can't be what the differences show as it: the readings at the references do not have it; else empty.
 
     They are against it by what a name needs over another (`nats_to_prefer`); against a tool weight by any odds, since in
-    differences it shows by what it changes in the springs only, which others do too.
+    differences it shows by what it changes in the springs only, which others do too. Of an effect of whose values differences
+    know some combinations only, other causes that are still missing bend what they show: these readings are against it where
+    they are so plainly (`nats_plainly`).
     """
-    weighed = term.effect.evidence is Evidence.REFERENCE_READINGS
-    odds, least = (_weighed(study, term), 0.0) if weighed else (carried(study, term), -SETTINGS.nats_to_prefer)
+    if term.effect.evidence is Evidence.REFERENCE_READINGS:
+        odds, least = _weighed(study, term), 0.0
+    else:
+        vague = term.effect.chosen_by_poses
+        odds, least = carried(study, term), -(SETTINGS.nats_plainly if vague else SETTINGS.nats_to_prefer)
     if odds >= least:
         return ""
     return f"the readings at the references do not have it (log odds {odds:.1f}, at least {least:g} needed)"

@@ -26,7 +26,7 @@ LARGEST = 0.015  # rad; some fifty arc minutes, of a small gear of a wrist that 
 PLAY = 1.0e-4  # rad, of one gear, that a check over the years must find
 # Sound gears have lost motion of up to an arc minute, 2.9e-4 rad; chosen: what was found in several axes of such robots, at most
 USUAL_PLAY, USUAL_AXES = 1.0e-4, 2.3
-SOUND_PLAY = 7e-5  # rad, of one gear; chosen: gears of outside simulators had 6.8e-5 where it was no cause, 1e-4 and more where it was
+SOUND_PLAY = 7e-5  # rad, of one gear; chosen: outside simulators have 6.8e-5 where it is no cause, 1e-4 and more where it is
 
 
 class JointBacklash(Effect):

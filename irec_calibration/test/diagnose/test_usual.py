@@ -90,7 +90,7 @@ def test_a_constant_pull_along_gravity_is_masses_that_are_known_to_a_tenth(force
 
 
 def test_what_no_sound_robot_has_is_not_usual_whatever_its_size() -> None:
-    assert not find_effect("joint_backlash").is_usual({"b_1": 1e-9}, 1e-9, LOADED)
+    assert not find_effect("sensor_gain").is_usual({"e_xx": 1e-9}, 1e-9, LOADED)
 
 
 def test_the_share_of_an_effect_is_that_of_the_deflection_in_the_rows_that_were_observed() -> None:
