@@ -73,7 +73,7 @@ def rivals_of(
     more than two other effects: gears follow none of them exactly.
     What explains something else beside the name is no rival. Of an effect and a special form of it (`Effect.special_of`) that are
     not told apart the special form is the likelier, and so is what fitted values are rather (`Effect.rather`).
-    Play and a soft gear are told apart by how much torque takes it up: where no torque limit is stated, either may do.
+    Play and a soft gear are told apart by how much torque takes it up: at the border of the two either may do.
     What the readings at the references carry has no rival that they carry less; what they prove without the differences, which
     other causes may bend, has none that does not move them.
 

@@ -11,7 +11,7 @@ from ..robot.ratings import rated_torque, rating_known
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .live import ColumnLaw, LiveForm, Tick, drives
-from .scales import at_border, comes_near_zero, may_be_wide
+from .scales import at_border, comes_near_zero
 from .scene import Scene
 from .traits import Ageing, Family
 from .travel import clipped_in_turn
@@ -99,10 +99,7 @@ class JointBacklash(Effect):
         return "joint_stiffening" if rating_known(scene.robot).all() and at_border(values["w"], WIDEST) else ""
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
-        driven = np.flatnonzero(scene.driven)
-        soft = theta[-SHAPE] * rated_torque(scene.robot)[driven]
-        wide = may_be_wide(scene, driven, theta[: len(driven)], soft, WIDEST).any()
-        return "joint_stiffening" if wide or at_border(theta[-SHAPE], WIDEST) else ""
+        return "joint_stiffening" if at_border(theta[-SHAPE], WIDEST) else ""
 
     def ageing(self, scene: Scene) -> tuple[Ageing, ...]:
         return tuple(

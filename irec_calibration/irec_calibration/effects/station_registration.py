@@ -64,16 +64,17 @@ class StationRegistration(Effect):
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         """A turn of all stations about the first axis (theta, rad) is what the zero of that axis does to all that they see, where
-        they are not surely turned about another axis too; a small one where most of it is about that axis."""
+        they are not surely turned about another axis by more than usual, and by less than half of that."""
         if not len(theta) or scene.kin.is_prismatic[0]:
             return ""
         axis = scene.kin.axis[0, 0]
         turned = theta.reshape(-1, 3)
         about = np.median(turned @ axis)
         rest = turned - about * axis
-        rest = np.maximum(np.abs(rest) - SURELY * se.reshape(-1, 3), 0.0)
-        beside = float(np.sqrt(np.mean(rest**2)))
-        return "geometry_error" if beside <= USUAL_RAD and abs(about) > min(USUAL_RAD, MOST_ABOUT * beside) else ""
+        surely = np.maximum(np.abs(rest) - SURELY * se.reshape(-1, 3), 0.0)
+        beside = float(np.sqrt(np.mean(surely**2)))
+        across = float(np.sqrt(0.5 * np.mean((rest**2).sum(axis=1))))  # RMS of the two directions
+        return "geometry_error" if beside <= USUAL_RAD and abs(about) > MOST_ABOUT * across else ""
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array | None:
         if scene.kind == "absolute" or scene.measured_from_station is None:

@@ -26,6 +26,8 @@ STATION = find_effect("station_registration")
         ((0.0, 5e-3, 0.0), 0.0, ""),
         ((0.0, 0.0, 3e-4), 0.0, "geometry_error"),
         ((3e-4, 0.0, 1e-4), 0.0, ""),
+        ((4.5e-4, 2.7e-4, 4.9e-4), 5e-5, ""),  # about no axis more than about others
+        ((8.8e-4, 4.3e-4, -6.9e-4), 6e-5, ""),
     ],
 )
 def test_a_turn_about_the_first_axis_may_be_that_axis_zero(turn: tuple[float, float, float], se: float, also: str) -> None:
