@@ -35,12 +35,13 @@ class Places:
     blocks: tuple[Block, ...]
 
     def best(self, ground: Ground) -> tuple[dict[str, float], float]:
-        """The place with the best evidence on a ground, and the log prior of the group there: how likely a place is, and what
-        not knowing it better costs."""
+        """The place with the best evidence on a ground, moved from the best of the grid at which the effect may have its values,
+        and the log prior of the group there: how likely a place is, and what not knowing it better costs."""
         reduced = ground.reduced_tables(self.blocks)
         columns = range(self.blocks[0].A.shape[1])
         found = ground.posteriors(reduced, [(i, columns) for i in range(len(self.blocks))], FACTORS)
-        i = int(np.argmax([f.log_evidence for f in found]))
+        likeliest = sorted(range(len(found)), key=lambda j: -found[j].log_evidence)
+        i = next((j for j in likeliest if self._can_be(self.grid[j], found[j].x)), likeliest[0])
         shape, evidence, x, known = dict(self.grid[i]), found[i].log_evidence, found[i].x, 0.0
         for _ in range(STEPS):
             block, by_place = self._about(shape, x)
@@ -69,6 +70,12 @@ class Places:
             if found.log_evidence > evidence:
                 return there, found.log_evidence - evidence, found.x
         return None
+
+    def _can_be(self, shape: dict[str, float], x: Array) -> bool:
+        """Whether the effect may have values of the group, (p,), at a place: what pushes from it may pull towards another one."""
+        mine = [p for p in self.effect.parameters(self.study.ready) if p.group == self.group and not p.grid]
+        values = shape | {p.name: float(v) * p.scale for p, v in zip(mine, x, strict=True)}
+        return not self.effect.why_impossible({n: (v, 0.0) for n, v in values.items()}, {}, self.study.ready)
 
     @property
     def _shaped(self) -> list[Parameter]:

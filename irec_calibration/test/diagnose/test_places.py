@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import html
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -66,6 +67,18 @@ def test_a_pull_towards_a_place_that_pushes_on_the_whole_is_impossible() -> None
     values = {f"h_{a}": (float(h), 0.1) for a, h in zip("xyz", HOOK, strict=True)} | {"t": (-150.0, 1.0)}
     assert "it would push with" in effect.why_impossible(values, {}, scene)
     assert effect.why_impossible(values | {"k_place": (110.0, 1.0)}, {}, scene) == ""
+
+
+def test_a_place_from_which_a_hose_would_push_is_no_start() -> None:
+    at = study()
+    opposite = 2.0 * at.ready.p_tcp.mean(axis=0) - HOOK  # a push from there is much like the pull towards the hook
+    places = [{f"h_{a}": float(v) for a, v in zip("xyz", p, strict=True)} for p in (opposite, HOOK + [0.0, 1.1, 0.0])]
+    hose, ground = of_hose(at), Ground(at.bench, at.base)
+    blocks = tuple(hose._columns(place) for place in places)
+    pushes, pulls = (ground.posterior(block, FACTORS) for block in blocks)
+    assert pushes.log_evidence > pulls.log_evidence, "no example"
+    found, _ = replace(hose, grid=tuple(places), blocks=blocks).best(ground)
+    assert np.linalg.norm([found[f"h_{a}"] for a in "xyz"] - HOOK) < 0.5
 
 
 def test_the_place_is_found_between_those_of_the_grid() -> None:
