@@ -24,7 +24,7 @@ from .family import Family
 from .forms import Forms, follows_step, forms_of
 from .ground import Ground
 from .lasting import lasts
-from .readings import could_carry, proved
+from .readings import carried, could_carry, proved
 from .remainder import grow
 from .settings import Settings
 
@@ -143,7 +143,7 @@ def rivals_of(
             if own < settings.nats_to_prefer or by_rival - by_none < settings.share_of_rival * (by_themselves - by_none):
                 continue  # what has no name explains it there, not this effect
             # whether a reading stands out a little is asked beside both
-            more = 0.0 if in_one_pose(one, other) else stays
+            more = (0.0 if in_one_pose(one, other) else stays) + _unread(final, term.effect.id, one, other)
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final) + more
             raw = min(odds, by_themselves - by_rival + more)
             if other == term.effect.special_of and raw > -settings.nats_to_separate:  # not told apart: the simpler one
@@ -171,6 +171,12 @@ def rivals_of(
         if same:
             out[term.effect.id] = tuple(sorted(same, key=lambda t: t[1]))
     return Rivals(out, tuple((one, bare) for _, one, bare in sorted(likelier, key=lambda t: t[0])), models)
+
+
+def _unread(final: Explanation, effect_id: str, one: Explanation, other: str) -> float:
+    """Log odds of a name over a rival by how far the readings at the references are against either, nats."""
+    of_name, of_rival = (min(carried(e.study, e.term(i)), 0.0) for e, i in ((final, effect_id), (one, other)))
+    return of_name - of_rival
 
 
 def has_a_cause_of_its_own(

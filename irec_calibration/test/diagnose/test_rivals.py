@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 import synthetic
-from irec_calibration.diagnose import start_terms
+from irec_calibration.diagnose import rivals, start_terms
 from irec_calibration.diagnose.candidates import options, try_option
 from irec_calibration.diagnose.explanation import Explanation, explain
 from irec_calibration.diagnose.family import family_of
@@ -80,3 +83,12 @@ def test_an_effect_that_explains_as_much_beside_a_name_has_a_cause_of_its_own(hi
 
     models = (with_("marker_offset"), with_(rival), start)
     assert has_a_cause_of_its_own(start, models, found[rival], family, SETTINGS) == its_own
+
+
+@pytest.mark.parametrize(("of_name", "of_rival", "odds"), [(0.0, -8.0, 8.0), (-3.0, 0.0, -3.0), (40.0, -8.0, 8.0)])
+def test_readings_that_are_against_a_rival_speak_for_the_name(
+    monkeypatch: pytest.MonkeyPatch, of_name: float, of_rival: float, odds: float
+) -> None:
+    monkeypatch.setattr(rivals, "carried", lambda study, term: {"sensor_gain": of_name, "geometry_error": of_rival}[term])
+    one: Any = SimpleNamespace(study=None, term=lambda i: i)
+    assert rivals._unread(one, "sensor_gain", one, "geometry_error") == odds
