@@ -6,7 +6,7 @@ Asked of all others when an effect has come, and of the whole at the end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,9 +21,8 @@ from .more_parts import with_more_parts
 from .naming import needed, odds_of
 from .parts import without_columns
 from .remainder import Part
+from .rivals import Check
 from .settings import Settings
-
-Check = Callable[[], None]
 
 
 def pruned(start: Explanation, one: Explanation, family: Family, settings: Settings) -> Explanation:

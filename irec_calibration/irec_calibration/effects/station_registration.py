@@ -64,7 +64,7 @@ class StationRegistration(Effect):
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         """A turn of all stations about the first axis (theta, rad) is what the zero of that axis does to all that they see, where
-        they are not surely turned about another axis by more than usual, and by less than half of that."""
+        they are turned about other axes by no more than usual, for certain, and by less than half of that."""
         if not len(theta) or scene.kin.is_prismatic[0]:
             return ""
         axis = scene.kin.axis[0, 0]

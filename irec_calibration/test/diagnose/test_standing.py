@@ -232,3 +232,25 @@ def test_names_that_are_left_after_others_fell_still_have_to_help_on_held_out_po
     monkeypatch.setattr(standing, "gain", lambda before, after: (falls_by, 1.0, 10))
     start, one = (SimpleNamespace(study=None, remainder=None, ids=ids) for ids in ((), ("external_force",)))
     assert standing._helps(start, one) == helps  # type: ignore[arg-type]
+
+
+def test_a_name_that_further_parts_of_another_explain_as_well_does_not_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drift beside a geometry error of one axis, which with a second axis explains all of it."""
+
+    def model(named: float, ids: tuple[str, ...]) -> Any:
+        return SimpleNamespace(named=named, ids=ids, added=ids, remainder=SimpleNamespace(without_a_name=0.0))
+
+    none, drift, geometry = model(0.0, ()), model(50.0, ("thermal_drift",)), model(80.0, ("geometry_error",))
+    both, wider = model(95.0, ("thermal_drift", "geometry_error")), model(94.0, ("geometry_error",))
+    bare = {"thermal_drift": geometry, "geometry_error": drift}
+    monkeypatch.setattr(standing, "without", lambda start, one, i, family: bare[i] if one is both else none)
+    monkeypatch.setattr(standing, "with_more_parts", lambda one, *_: wider if one is geometry else one)
+    monkeypatch.setattr(standing, "odds_of", lambda start, one, without, *_: one.named - without.named)
+    monkeypatch.setattr(standing, "_weak", lambda start, one, without, nats, *_: [i for i in one.ids if nats[i] < 6.5])
+    for quiet in ("outweighed", "implausible"):
+        monkeypatch.setattr(standing, quiet, lambda *_: False)
+    for fine in ("_together", "_helps"):
+        monkeypatch.setattr(standing, fine, lambda *_: True)
+    family: Any = None
+    kept, evidence = standing.standing(none, both, family, SETTINGS)
+    assert kept is wider and evidence == {"geometry_error": 94.0}

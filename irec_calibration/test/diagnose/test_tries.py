@@ -81,16 +81,21 @@ def test_a_hose_is_looked_for_from_typical_springs_too_where_the_weight_shows_ne
 
 
 @pytest.mark.parametrize(
-    ("effect_id", "ripple", "feigned"),
-    [("thermal_drift", None, 0.05), ("thermal_drift", (2, 40.0), 0.0), ("joint_backlash", (2, 40.0), 0.05)],
+    ("effect_id", "ripple", "size", "feigned"),
+    [
+        ("thermal_drift", None, 1.0, 0.05),
+        ("thermal_drift", (2, 40.0), 1.0, 0.0),
+        ("joint_backlash", (2, 40.0), 1.0, 0.05),
+        ("joint_backlash", None, 80.0, 0.0125),  # explains 3200, sixteen times what has no name
+    ],
 )
-def test_what_repeats_many_times_per_turn_feigns_nothing_that_passes_with_time(
-    monkeypatch: pytest.MonkeyPatch, effect_id: str, ripple: tuple[int, float] | None, feigned: float
+def test_what_remains_feigns_nothing_that_it_is_not_like_and_little_of_what_is_far_larger(
+    monkeypatch: pytest.MonkeyPatch, effect_id: str, ripple: tuple[int, float] | None, size: float, feigned: float
 ) -> None:
     structure = SimpleNamespace(columns=slice(0, 1), is_bad_row=False, ripple=ripple)
     part: Any = SimpleNamespace(structure=structure, log_evidence=200.0)
-    block: Any = SimpleNamespace(A=np.eye(2))
-    base = SimpleNamespace(A=np.array([[1.0], [0.0]]), take=lambda columns: None)
+    block: Any = SimpleNamespace(A=np.diag([size, 1.0]))
+    base = SimpleNamespace(A=np.array([[size], [0.0]]), take=lambda columns: None)
     study = SimpleNamespace(
         bench=SimpleNamespace(posterior=lambda block: SimpleNamespace(x=np.ones(2))), owners=(effect_id,), base=base, ready=None
     )
