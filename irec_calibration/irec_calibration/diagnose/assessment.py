@@ -21,14 +21,14 @@ from .bad_readings import too_many_aside
 from .build import Built
 from .candidates import Trial
 from .evidence import Block
-from .explanation import Explanation, also_called, cause_though_usual, usual
+from .explanation import Explanation, also_called, cause_though_usual, ends_at, usual
 from .family import Family
 from .flexible import Flexible, flexible_gain
 from .ground import Ground
 from .held_out import held_out, only_good_poses
 from .level import Repeats, inferred, repeats_of
 from .naming import one_cause_of_bad_rows
-from .one_curve import of_one_curve
+from .one_curve import mends_the_other, of_one_curve
 from .part_sets import Parts
 from .parts import prune
 from .remainder import Part, Remainder, grow
@@ -174,7 +174,10 @@ def assess(
         as_usual = [i for i in as_usual if i not in names]
     names.sort(key=lambda i: -built.evidence.get(i, 0.0))
     curve = of_one_curve(names, pruned.parts, final.ids) if study.ready.kind == "loaded" else ()
-    if curve:
+    mends = mends_the_other(curve, {i: ends_at(lean, i) for i in curve if i in lean.ids})
+    if mends:
+        names.remove(mends)
+    elif curve:
         names = [i for i in names if i not in curve]
         one_of.append(curve)
     if names or weight:

@@ -254,6 +254,17 @@ def rather(one: Explanation, effect_id: str) -> str:
     return term.effect.rather({n: e.value for n, e in term.estimates.items()}, compliance, one.study.ready)
 
 
+def ends_at(one: Explanation, effect_id: str) -> str:
+    """Id of another effect that begins where the values of an added one end (`Effect.ends_at`), or an empty string."""
+    term = one.term(effect_id)
+    return term.effect.ends_at({n: e.value for n, e in term.estimates.items()}, one.study.ready)
+
+
+def is_simpler(term: Term) -> bool:
+    """Whether the values of a special form of another effect are likelier than that one (`Effect.simpler`)."""
+    return term.effect.simpler({n: e.value for n, e in term.estimates.items()})
+
+
 def also_called(term: Term, scene: Scene) -> str:
     """Id of another effect that a fitted one may as well be called (`Effect.also_called`), or an empty string."""
     own = parameters_of(term.effect, scene)

@@ -9,12 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
+from ..effects import Evidence
 from ..errors import SolveError
 from ..identification.identify import fit, observe_with_force_noise
 from ..identification.provenance import model_of
 from ..identification.validation import FEWEST_POSES, HeldOut, held_out_error
 from ..lengths import length
-from ..model import Model, Term
+from ..model import Model, Term, total_displacement
 from ..session.data import Session
 from .apart import set_apart
 from .evidence import Block
@@ -68,8 +69,13 @@ def held_out_beside(before: Study, after: Study) -> HeldOut:
 
 
 def only_good_poses(found: HeldOut, study: Study, remainder: Remainder) -> HeldOut:
-    """The same for a comparison (`gain`), without poses in which a row stands out: no other pose can predict a bad reading."""
+    """The same for a comparison (`gain`), without poses in which a row stands out, and those which alone show an effect: no other
+    pose can predict a bad reading or a step."""
     rows = [r for p in remainder.bad_rows for r in p.structure.rows]
+    steps = [t for t in study.terms if t.effect.evidence is Evidence.ONE_POSE and study.ready.kind == "loaded"]
+    if steps:
+        moved = study.observation.of(total_displacement(steps, study.observation.scene))
+        rows += study.observation.rows[moved.any(axis=1)].tolist()
     keep = ~np.isin(found.poses, study.session.pose[rows])
     return replace(found, poses=found.poses[keep], loss=found.loss[keep]) if keep.sum() >= FEWEST_POSES else found
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..identification.observe import beyond_controller
-from ..model import Term, total_displacement
+from ..model import Term, total_displacement, whole_sag_of
 from ..typing import Array, IntArray
 from .evidence import Bench, Block, NoisePrior
 from .settings import SETTINGS
@@ -52,13 +52,13 @@ def lasts(study: Study, shift: Term) -> float:
     R = scene.kin.R_tool
     in_base = after[:, None] * d
     with_tool = after[:, None] * (R[rows] @ (R[here].T @ d))
-    # the station may stand anywhere: in metres
-    ground = np.concatenate([np.tile(np.eye(3), (len(rows), 1, 1)), usually_beyond(study, rows)], axis=2)
+    # the station may stand anywhere, in metres, and be turned, and the marker sit elsewhere: causes that may have no name yet
+    anywhere, turned = np.tile(np.eye(3), (len(rows), 1, 1)), LASTING.turned_rad * _all_turn(scene.p_observed[rows])
+    ground = np.concatenate([anywhere, turned, LASTING.elsewhere_m * R[rows], usually_beyond(study, rows)], axis=2)
     again = _same_pose(session.pose[rows])
     once, turns = (_beside_poses(mean - step, ground, again) for step in (0.0 * in_base, with_tool))
     # a station that is bumped tilts, too: about where it was bumped, of which the step itself knows nothing
-    lever = scene.p_observed[rows] - scene.p_observed[here]
-    tilts = LASTING.tilt_rad * np.cross(np.eye(3)[None], lever[:, None]).swapaxes(1, 2)
+    tilts = LASTING.tilt_rad * _all_turn(scene.p_observed[rows] - scene.p_observed[here])
 
     def carried(late: Array) -> float:
         """Log evidence of a step, straight or with a tilt, that the readings marked by 1 have, (rows,)."""
@@ -124,9 +124,8 @@ def usually_beyond(study: Study, rows: IntArray) -> Array:
     """What absolute readings have beyond the controller's positions, in standard deviations of each cause, (rows, 3, p), m."""
     usual, scene = LASTING, study.observation.scene
     p, q, J = scene.p_observed[rows], scene.q[rows], scene.J[rows]
-    all_turn = np.cross(np.eye(3)[None], p[:, None]).swapaxes(1, 2)
     station = scene.station[rows]
-    turn = np.concatenate([all_turn * (station == s)[:, None, None] for s in np.unique(station)], axis=2)  # each by itself
+    turn = np.concatenate([_all_turn(p) * (station == s)[:, None, None] for s in np.unique(station)], axis=2)  # each by itself
     course = (scene.stamp[rows] - scene.stamp[rows].mean()) / max(float(np.ptp(scene.stamp[rows])), 1e-9)
     # whether a base that rides is seen from where it stands or from the cell, and how straight its way is
     rides = [(v[rows] - v[rows].mean())[:, None, None] * np.eye(3) for v in scene.ext.values() if np.isfinite(v[rows]).all()]
@@ -138,8 +137,14 @@ def usually_beyond(study: Study, rows: IntArray) -> Array:
             usual.place_m * scene.kin.R_joint[rows].swapaxes(1, 2).reshape(len(rows), 3, -1),
             usual.periodic_rad * J * np.sin(q)[:, None], usual.periodic_rad * J * np.cos(q)[:, None],
             usual.course_m * course[:, None, None] * np.eye(3), usual.soft * J * scene.tau_gravity[rows][:, None, :],
+            whole_sag_of(study.terms, scene)[rows][:, :, None],
         ], axis=2,
     )  # fmt: skip
+
+
+def _all_turn(p: Array) -> Array:
+    """What places in base_link move by if all turn about its origin, for each axis and radian, (n, 3, 3), m."""
+    return np.asarray(np.cross(np.eye(3)[None], p[:, None]).swapaxes(1, 2))
 
 
 def fitted(values: Array, columns: Array) -> tuple[float, Array]:

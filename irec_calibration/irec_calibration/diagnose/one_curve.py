@@ -10,6 +10,17 @@ from ..effects import find_effect, known_effects
 from .part_sets import Parts
 
 
+def mends_the_other(curve: Sequence[str], bounds: Mapping[str, str]) -> str:
+    """Of two laws of one curve that which came to the bound at which the other begins, inside which that one is: it only mends
+    that one's form; empty where there is none.
+
+    Args:
+        bounds: law -> `Effect.ends_at`.
+    """
+    drawn = [i for i in curve if bounds.get(i) in curve]
+    return drawn[0] if len(drawn) == 1 else ""
+
+
 def of_one_curve(names: Sequence[str], parts: Mapping[str, Parts], added: Collection[str]) -> tuple[str, ...]:
     """Of the names of a loaded session two laws of the torque (play, stiffening) of just the same axes, and laws that go with its
     history too (friction) where the model has none; empty where there are none.

@@ -11,9 +11,11 @@ from .candidates import Option, try_option
 from .explanation import (
     Explanation,
     also_called,
+    ends_at,
     explain,
     implausible,
     in_one_pose,
+    is_simpler,
     rather,
     remainder_of,
     reshaped_again,
@@ -113,7 +115,7 @@ def rivals_of(
         sure = proved(rest, term.effect)
         # another effect leaves that pose to a bad reading, after which nothing has the step
         stays = lasts(final.study, term) if in_one_pose(final, term.effect.id) else 0.0
-        same, no_rival, own_kind = [], set[str](), rather(final, term.effect.id)
+        same, no_rival = [], set[str]()
         for other, then in others.items():
             option = by_id[other].on(rest)
             if not option.tables:
@@ -146,23 +148,22 @@ def rivals_of(
             more = (0.0 if in_one_pose(one, other) else stays) + _unread(final, term.effect.id, one, other)
             odds = max(whole, _without_forms(final, family, forms, one)) - _without_forms(one, family, forms, final) + more
             raw = min(odds, by_themselves - by_rival + more)
-            if other == term.effect.special_of and raw > -settings.nats_to_separate:  # not told apart: the simpler one
+            if other == term.effect.special_of and raw > -settings.nats_to_separate and is_simpler(term):  # not told apart
                 continue
             # an arm that tilts or bends gives way in its gears too: without these it is named only where they explain far less
             beside = settings.share_beside if other == term.effect.beside else 0.0
             share = (settings.share_of_form if by_step else settings.share_between_laws) if law else beside
             counts = as_they_count(raw, by_themselves - by_none, share)
-            # what has no name may tell them apart no better than they do themselves
-            if rather(one, other) == term.effect.id:
+            if _is_the_name(final, term.effect.id, one, other, raw, settings):
                 no_rival.add(other)
                 continue
+            # what has no name may tell them apart no better than they do themselves
             if odds < settings.nats_to_name or counts < settings.nats_over_rival:
                 if not law and has_a_cause_of_its_own(start, (final, one, bare), by_id[other], family, settings):
                     continue
                 same.append((other, counts))
                 models[term.effect.id, other] = InPlace(one, raw, by_themselves - by_none, share)
-                simpler = one.term(other).effect.special_of == term.effect.id and raw < settings.nats_to_separate
-                better = raw < -settings.nats_to_separate or simpler or other == own_kind
+                better = _takes_its_place(final, term.effect.id, one, other, raw, settings)
                 if better and one.term(other).effect.beside != term.effect.id:
                     likelier.append((raw, one, bare))
         known = {i for i, _ in same} | no_rival
@@ -171,6 +172,35 @@ def rivals_of(
         if same:
             out[term.effect.id] = tuple(sorted(same, key=lambda t: t[1]))
     return Rivals(out, tuple((one, bare) for _, one, bare in sorted(likelier, key=lambda t: t[0])), models)
+
+
+def _is_the_name(final: Explanation, effect_id: str, one: Explanation, other: str, odds: float, settings: Settings) -> bool:
+    """Whether the values of a rival are rather the name itself: a rival that came to a bound would go on where the name begins,
+    unless that came to the same bound.
+
+    Args:
+        odds: of the name over it.
+    """
+    if ends_at(one, other) == effect_id:
+        return ends_at(final, effect_id) != other and odds > settings.nats_to_prefer
+    return rather(one, other) == effect_id
+
+
+def _takes_its_place(final: Explanation, effect_id: str, one: Explanation, other: str, odds: float, settings: Settings) -> bool:
+    """Whether a rival is named instead: it explains by far more; of what is not told apart the simpler form, or what the name's
+    values are rather. A name that came to a bound may as well begin there, so that other one has to be preferred.
+
+    Args:
+        odds: of the name over it.
+    """
+    if odds < -settings.nats_to_separate:
+        return True
+    rival = one.term(other)
+    if rival.effect.special_of == effect_id and is_simpler(rival) and odds < settings.nats_to_separate:
+        return True
+    if rather(final, effect_id) != other:
+        return False
+    return odds < -settings.nats_to_prefer or ends_at(final, effect_id) != other
 
 
 def _unread(final: Explanation, effect_id: str, one: Explanation, other: str) -> float:

@@ -243,12 +243,14 @@ def _part_of_another(one: Explanation, bare: Explanation, effect_id: str, settin
 
 
 def _of_another_form(one: Explanation, bare: Explanation, effect_id: str, settings: Settings) -> bool:
-    """Whether beside a compliance that goes with its axis' own angle much of such a compliance is left: no linkage has that form.
+    """Whether beside a compliance that goes with its axis' own angle much of such a compliance is left: no linkage has that form;
+    likewise of a base what goes with the first axis: a foot that lifts, or a ring of bolts that gapes, is no spring.
 
     Args:
         bare: the model without it.
     """
-    turns = forms_of(one.term(effect_id), one.study.ready).turns
+    term = one.term(effect_id)
+    turns = forms_of(term, one.study.ready).turns | {term.effect.softens_with} - {None}
     left = sum(p.log_evidence for p in one.remainder.structures if p.structure.softer_by_angle in turns)
     return bool(left > max(settings.nats_for_structure, settings.share_of_same_form * (one.named - bare.named)))
 

@@ -137,6 +137,7 @@ class Effect(ABC):
         compliance_of: its parameters are the compliances of these axes; None: they are something else. The level of their prior
             is set by the session, and no axis is taken out for want of evidence.
         by_angle: the compliance of its axes goes with their own angle, in one form of many.
+        softens_with: joint from 0 with whose angle what it gives way varies, as the arm sees it, in one form of many.
         turns_by_angle: turns each axis by a law of its own angle, whatever the load.
         stands_in: describes what has no name, and is none itself: never weighed for a verdict (`diagnose/stand_in.py`).
         chosen_by_poses: in an absolute session it gets, without values, those parameters that the poses determine.
@@ -167,6 +168,7 @@ class Effect(ABC):
     completes: ClassVar[str] = ""
     compliance_of: ClassVar[Axes | None] = None
     by_angle: ClassVar[bool] = False
+    softens_with: ClassVar[int | None] = None
     turns_by_angle: ClassVar[bool] = False
     stands_in: ClassVar[bool] = False
     chosen_by_poses: ClassVar[bool] = False
@@ -254,6 +256,23 @@ class Effect(ABC):
 
         Args:
             values: of each parameter that was fitted; compliance: of each axis, as of `why_impossible`.
+        """
+        return ""
+
+    def simpler(self, values: Mapping[str, float]) -> bool:
+        """Whether fitted values are likelier than the effect of which this one is a special form (`special_of`), where both
+        explain alike.
+
+        Args:
+            values: of each parameter that was fitted.
+        """
+        return True
+
+    def ends_at(self, values: Mapping[str, float], scene: Scene) -> str:
+        """Id of another effect that begins where fitted values end, as where a fit came to a bound; empty where there is none.
+
+        Args:
+            values: of each parameter that was fitted.
         """
         return ""
 

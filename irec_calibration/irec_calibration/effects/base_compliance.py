@@ -85,6 +85,7 @@ class BaseCompliance(Effect):
     )
     family = Family.SPRING
     usual_in = ("loaded", "absolute")
+    softens_with = 0  # it stands still where the first axis turns the arm
     usual_visible = 0.009  # chosen; floors with a cause had 1.2 % and more on outside simulators
     everywhere = ("absolute",)  # there the weight of the arm tilts it, whatever it stands on
     beside = "joint_torsion"

@@ -118,6 +118,14 @@ class JointStiffening(Effect):
         soft = _x_0(scene, theta) * _ends_at(theta[-1])
         return "" if may_be_wide(scene, driven, a, soft, WIDEST).any() else "joint_backlash"
 
+    def ends_at(self, values: Mapping[str, float], scene: Scene) -> str:
+        theta = np.array([values.get(p.name, p.start) for p in self.parameters(scene)])
+        driven, a = np.flatnonzero(scene.driven), _of_axes(scene, theta)[0]
+        counts = np.abs(a) >= COUNTS * np.abs(a).max(initial=1e-300)
+        shares = (_x_0(scene, theta) / rated_torque(scene.robot)[driven])[counts]
+        stated = rating_known(scene.robot)[driven][counts]
+        return "joint_backlash" if stated.all() and all(at_border(s, WIDEST) for s in shares) else ""
+
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         driven = np.flatnonzero(scene.driven)
         a, soft = _of_axes(scene, theta)[0], _x_0(scene, theta) * _ends_at(theta[-1])

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..typing import Array
@@ -12,6 +15,7 @@ from .scene import Scene
 from .traits import Family
 
 AXES = ("x", "y", "z")
+ABOUT_FLANGE = 0.7  # of a turn, about the axis of the flange, on which most sensors sit; chosen
 
 
 class SensorAlignment(Effect):
@@ -29,6 +33,11 @@ class SensorAlignment(Effect):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         # a sensor can be bolted on at any angle, so nothing within the bounds is implausible
         return tuple(Parameter(f"w_{a}", "rad", 0.03, -0.8, 0.8, group=f"about {a}") for a in AXES)
+
+    def simpler(self, values: Mapping[str, float]) -> bool:
+        # a turn about another axis makes lateral forces of the largest, along the flange's, as crosstalk of that channel does
+        turn = np.array([values.get(f"w_{a}", 0.0) for a in AXES])
+        return bool(abs(turn[2]) >= ABOUT_FLANGE * np.linalg.norm(turn))
 
     def wrench(self, scene: Scene, theta: Array) -> tuple[Array, Array]:
         R = Rotation.from_rotvec(theta).as_matrix()

@@ -12,6 +12,7 @@ from .base import Effect, Parameter
 from .live import LiveForm, SensorMap
 from .scales import SURELY
 from .scene import Scene
+from .sensor_alignment import ABOUT_FLANGE
 from .traits import Family
 
 NAMES = ("e_xx", "e_yy", "e_xy", "e_xz", "e_yx", "e_yz", "e_zx", "e_zy")
@@ -56,8 +57,11 @@ class SensorGain(Effect):
 
     def rather(self, values: Mapping[str, float], compliance: Mapping[str, float], scene: Scene) -> str:
         E = crosstalk(np.array([values.get(n, 0.0) for n in NAMES]))
-        mostly_turns = np.linalg.norm(E + E.T) <= MOST_BESIDE_TURNING * np.linalg.norm(E - E.T)
-        return "sensor_alignment" if mostly_turns and np.any(E) else ""
+        turns = np.linalg.norm(E - E.T)
+        mostly_turns = np.linalg.norm(E + E.T) <= MOST_BESIDE_TURNING * turns
+        # what the largest force, along the flange's axis, does to the two others, is as likely crosstalk
+        about_flange = np.sqrt(2.0) * abs(E[0, 1] - E[1, 0]) >= ABOUT_FLANGE * turns
+        return "sensor_alignment" if mostly_turns and about_flange and np.any(E) else ""
 
     def holds(self, values: Mapping[str, float]) -> tuple[str, dict[str, float], frozenset[str]] | None:
         """Two axes across the flange's that read each other alike, with opposite signs: a sensor that is bolted on turned."""

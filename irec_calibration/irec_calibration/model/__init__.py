@@ -11,6 +11,7 @@ from .displacements import (
     regressors,
     sag_of,
     total_displacement,
+    whole_sag_of,
     with_pull,
 )
 from .model import EIGHTEEN_DOF, GEOMETRIC, MOST_SAG, SIX_DOF, Combination, Envelope, Model
@@ -37,6 +38,7 @@ __all__ = [
     "prepared",
     "regressors",
     "sag_of",
+    "whole_sag_of",
     "total_displacement",
     "with_pull",
 ]

@@ -50,11 +50,13 @@ def _sag(term: Term, scene: Scene) -> Array:
     would pass for. It follows from the springs that the process shows; nothing is read off it (`regressors` have no part of it):
     masses are known but roughly, and balancers are not known at all.
     """
-    weighs = scene.by_weight()
-    if not parameters_of(term.effect, weighs):
-        return np.zeros((len(scene), 3))
-    sag = _moved(term, weighs)
+    sag = _whole_sag(term, scene)
     return sag - sag[scene.reference]
+
+
+def _whole_sag(term: Term, scene: Scene) -> Array:
+    weighs = scene.by_weight()
+    return _moved(term, weighs) if parameters_of(term.effect, weighs) else np.zeros((len(scene), 3))
 
 
 def sag_of(terms: Sequence[Term], scene: Scene) -> Array | None:
@@ -64,6 +66,12 @@ def sag_of(terms: Sequence[Term], scene: Scene) -> Array | None:
     if scene.kind != "loaded" or scene.instruments.by_contact or not springs:
         return None
     return sum((_sag(t, scene) for t in springs), np.zeros((len(scene), 3)))
+
+
+def whole_sag_of(terms: Sequence[Term], scene: Scene) -> Array:
+    """What the springs of a model give way under the weight of the arm from no weight on, (n, 3), m: not in differences, but in
+    what is read at each row."""
+    return sum((_whole_sag(t, scene) for t in terms if _bends(t, scene)), np.zeros((len(scene), 3)))
 
 
 def loaded(terms: Sequence[Term], scene: Scene) -> list[Term]:

@@ -28,9 +28,10 @@ from irec_calibration.diagnose.shape import reshaped
 from irec_calibration.diagnose.study import Study, prepare, study_of
 from irec_calibration.diagnose.tries import laws_by_themselves
 from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from irec_calibration.identification.validation import gain
-from irec_calibration.model import Estimate, Term
+from irec_calibration.model import Estimate, Term, whole_sag_of
 from irec_calibration.session import Session
 from numpy.typing import NDArray
 
@@ -101,6 +102,25 @@ def test_wherever_the_station_stands_a_bump_shows_in_later_readings_and_a_knocke
     bumped, knocked = (prepared_from(synthetic.session(poses=20, seed=5, extra=e), elsewhere) for e in ROUGHLY_PLACED)
     assert lasts(bumped, shift(STEP)) > 6.5
     assert lasts(knocked, shift(STEP)) < 0.0
+
+
+def test_wherever_the_marker_sits_on_the_tool_a_bump_shows_in_later_readings() -> None:
+    """A marker 4 cm beside where the session states it had hidden a step of 2.7 mm of another simulator."""
+    drawn = synthetic.session(poses=20, seed=5, extra=station_is_bumped)
+    beside = scene_of(drawn).kin.R_tool @ np.array([0.025, -0.02, 0.015]) @ drawn.stations[0].R_in_base
+    assert lasts(prepared_from(drawn, beside), shift(STEP)) > 6.5
+
+
+@pytest.mark.parametrize("sags", [0.0, 1.0])
+def test_a_bump_shows_in_later_readings_of_a_soft_arm_whether_or_not_its_controller_commands_the_sag_away(sags: float) -> None:
+    """The weight of another simulator's arm turned joints by a milliradian, and a bump of half a millimetre was none."""
+    soft = 5.0 * synthetic.COMPLIANCE
+    drawn = synthetic.session(poses=20, seed=5, extra=station_is_bumped, compliance=soft)
+    plain = prepared_from(drawn, np.zeros(3))
+    at_references = whole_sag_of(plain.terms, plain.ready)[plain.ready.reference]
+    sag = at_references @ drawn.stations[0].R_in_base
+    assert np.ptp(sag, axis=0).max() > 5e-4
+    assert lasts(prepared_from(drawn, sags * sag), shift(STEP)) > 6.5
 
 
 @pytest.mark.long
@@ -331,6 +351,14 @@ def test_a_bad_pose_has_no_say_in_whether_a_model_helps_on_held_out_poses() -> N
     rest = grow(found.bench, family_of(found), found.base)
     assert rest.bad_rows
     assert gain(*(only_good_poses(h, found, rest) for h in (before, after)))[0] > 0.0
+
+
+def test_a_pose_that_alone_shows_a_step_has_no_say_in_whether_another_effect_helps_on_held_out_poses() -> None:
+    bumped = study(station_is_bumped)
+    found = study_of(bumped.observation, (*bumped.terms, shift(STEP)))
+    rest = grow(found.bench, family_of(found), found.base)
+    kept = only_good_poses(held_out(found), found, rest)
+    assert HIT in held_out(found).poses and HIT not in kept.poses
 
 
 def test_parts_of_an_effect_are_weighed_about_the_model_that_has_it() -> None:

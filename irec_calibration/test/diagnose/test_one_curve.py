@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from irec_calibration.diagnose.one_curve import of_one_curve
+from irec_calibration.diagnose.one_curve import mends_the_other, of_one_curve
 from irec_calibration.diagnose.part_sets import Parts
 
 PLAY, STIFFENS, FRICTION = "joint_backlash", "joint_stiffening", "joint_hysteresis"
@@ -28,3 +28,11 @@ def test_two_laws_of_the_same_axes_are_told_as_one_of_all_laws(play, stiffens, a
 def test_a_balancer_is_no_law_of_the_torque_alone() -> None:
     parts = {PLAY: Parts(proven=("axis 2",)), "counterbalance": Parts(proven=("axis 2",))}
     assert of_one_curve((PLAY, "counterbalance"), parts, ()) == ()
+
+
+@pytest.mark.parametrize(
+    ("bounds", "mends"),
+    [({STIFFENS: PLAY}, STIFFENS), ({PLAY: STIFFENS}, PLAY), ({STIFFENS: PLAY, PLAY: STIFFENS}, ""), ({}, "")],
+)
+def test_of_two_laws_of_one_curve_that_which_came_to_where_the_other_begins_mends_it(bounds: dict[str, str], mends: str) -> None:
+    assert mends_the_other((PLAY, STIFFENS, FRICTION), bounds) == mends

@@ -92,3 +92,50 @@ def test_readings_that_are_against_a_rival_speak_for_the_name(
     monkeypatch.setattr(rivals, "carried", lambda study, term: {"sensor_gain": of_name, "geometry_error": of_rival}[term])
     one: Any = SimpleNamespace(study=None, term=lambda i: i)
     assert rivals._unread(one, "sensor_gain", one, "geometry_error") == odds
+
+
+PLAY, SOFT = "joint_backlash", "joint_stiffening"
+
+
+def at_bounds(monkeypatch: pytest.MonkeyPatch, **bounds: str) -> Any:
+    """A model of which fitted effects end where others begin."""
+    monkeypatch.setattr(rivals, "ends_at", lambda one, i: bounds.get(i, ""))
+    monkeypatch.setattr(rivals, "rather", lambda one, i: bounds.get(i, "") if i == PLAY else "")
+    return SimpleNamespace(term=lambda i: SimpleNamespace(effect=SimpleNamespace(special_of="")))
+
+
+@pytest.mark.parametrize(
+    ("bounds", "odds", "is_play"),
+    [
+        ({SOFT: PLAY}, 2.5, True),
+        ({SOFT: PLAY}, 1.0, False),
+        ({SOFT: PLAY, PLAY: SOFT}, 9.0, False),
+        ({}, 9.0, False),
+    ],
+    ids=["preferred", "no likelier", "both at the bound", "inside"],
+)
+def test_a_soft_gear_that_came_to_the_range_of_play_is_no_rival_of_play_that_is_preferred(
+    monkeypatch: pytest.MonkeyPatch, bounds: dict[str, str], odds: float, is_play: bool
+) -> None:
+    """Eight of eight such plays of two outside simulators and the own one were `one_of` both, by 1.8 to 10 nats."""
+    one = at_bounds(monkeypatch, **bounds)
+    assert rivals._is_the_name(one, PLAY, one, SOFT, odds, SETTINGS) == is_play
+
+
+@pytest.mark.parametrize(("odds", "instead"), [(-3.0, True), (-1.0, False), (0.5, False)])
+def test_play_that_came_to_its_bound_gives_way_to_a_soft_gear_that_is_preferred(
+    monkeypatch: pytest.MonkeyPatch, odds: float, instead: bool
+) -> None:
+    """Play over 7 % of a drive's limit, by another simulator's measure, was called a soft gear at even odds."""
+    one = at_bounds(monkeypatch, **{PLAY: SOFT})
+    assert rivals._takes_its_place(one, PLAY, one, SOFT, odds, SETTINGS) == instead
+
+
+@pytest.mark.parametrize(("simpler", "instead"), [(True, True), (False, False)])
+def test_a_special_form_takes_the_place_of_the_general_one_only_where_its_values_are_the_likelier(
+    monkeypatch: pytest.MonkeyPatch, simpler: bool, instead: bool
+) -> None:
+    one = at_bounds(monkeypatch)
+    one.term = lambda i: SimpleNamespace(effect=SimpleNamespace(special_of="sensor_gain"))
+    monkeypatch.setattr(rivals, "is_simpler", lambda term: simpler)
+    assert rivals._takes_its_place(one, "sensor_gain", one, "sensor_alignment", 0.4, SETTINGS) == instead

@@ -212,9 +212,25 @@ def test_a_compliance_that_goes_with_its_angle_beside_which_more_of_it_is_left_i
     monkeypatch.setattr(standing, "forms_of", lambda *_: Forms(turns=frozenset({1})))
     structure = SimpleNamespace(log_evidence=left, structure=SimpleNamespace(softer_by_angle=axis))
     study = SimpleNamespace(ready=None)
-    one: Any = SimpleNamespace(named=370.0, remainder=SimpleNamespace(structures=(structure,)), study=study, term=lambda _: None)
+    term = SimpleNamespace(effect=find_effect("counterbalance"))
+    one: Any = SimpleNamespace(named=370.0, remainder=SimpleNamespace(structures=(structure,)), study=study, term=lambda _: term)
     bare: Any = SimpleNamespace(named=0.0)
     assert standing._of_another_form(one, bare, "counterbalance", SETTINGS) == of_another_form
+
+
+@pytest.mark.parametrize(
+    ("axis", "left", "of_another_form"), [(0, 65.0, True), (0, 12.0, False), (1, 65.0, False), (None, 65.0, False)]
+)
+def test_a_base_beside_which_much_that_goes_with_the_first_axis_is_left_is_no_spring(
+    monkeypatch: pytest.MonkeyPatch, axis: int | None, left: float, of_another_form: bool
+) -> None:
+    """A pedestal of which one foot lifts was called a soft base, with 65 beside 252 left; beside soft bases nothing is."""
+    monkeypatch.setattr(standing, "forms_of", lambda *_: NO_FORMS)
+    structure = SimpleNamespace(log_evidence=left, structure=SimpleNamespace(softer_by_angle=axis))
+    term, study = SimpleNamespace(effect=find_effect("base_compliance")), SimpleNamespace(ready=None)
+    one: Any = SimpleNamespace(named=252.0, remainder=SimpleNamespace(structures=(structure,)), study=study, term=lambda _: term)
+    bare: Any = SimpleNamespace(named=0.0)
+    assert standing._of_another_form(one, bare, "base_compliance", SETTINGS) == of_another_form
 
 
 @pytest.mark.parametrize(

@@ -86,3 +86,27 @@ def test_an_axis_whose_limit_is_stated_is_no_play_though_another_one_has_no_limi
     only_axis_3 = NO_LIMIT.replace('effort="0"', 'effort="7759"', 3).replace('effort="7759"', 'effort="0"', 2)
     scene = scene_of(replace(session(8), robot=Robot(only_axis_3)))
     assert STIFFENING.rather({"a_3": SOFTER, "x_0": 0.1, "slow": 0.0}, {}, scene) == ""
+
+
+@pytest.mark.parametrize(
+    ("effort", "values", "ends_at"),
+    [
+        (None, {"a_1": SOFTER, "x_0": 0.03, "slow": 0.0}, "joint_backlash"),
+        (None, {"a_1": SOFTER, "x_0": 0.03, "slow": 0.5}, "joint_backlash"),
+        (None, {"a_1": SOFTER, "a_2": SOFTER, "u_2": 0.5, "x_0": 0.03, "slow": 0.0}, ""),
+        (None, {"a_1": SOFTER, "a_2": 0.01 * SOFTER, "u_2": 0.5, "x_0": 0.03, "slow": 0.0}, "joint_backlash"),
+        (None, {"a_1": SOFTER, "x_0": 0.05, "slow": 0.0}, ""),
+        ("0", {"a_1": SOFTER, "x_0": 0.03, "slow": 0.0}, ""),
+    ],
+)
+def test_a_soft_gear_ends_where_play_begins_if_its_axes_came_to_the_narrowest_range_of_a_stated_limit(
+    effort: str | None, values: dict[str, float], ends_at: str
+) -> None:
+    measured = session(8)
+    robot = measured.robot if effort is None else Robot(NO_LIMIT)
+    assert STIFFENING.ends_at(values, scene_of(replace(measured, robot=robot))) == ends_at
+
+
+@pytest.mark.parametrize(("w", "ends_at"), [(0.03, "joint_stiffening"), (0.024, "joint_stiffening"), (0.02, "")])
+def test_play_ends_where_a_soft_gear_begins_if_it_came_near_the_widest_range(w: float, ends_at: str) -> None:
+    assert PLAY.ends_at({"b_1": 1e-4, "w": w}, scene_of(session(8))) == ends_at
