@@ -23,6 +23,7 @@ from .explanation import (
     without,
 )
 from .family import Family
+from .form_errors import evidence_beside
 from .forms import NO_FORMS, Forms, bends, forms_of, steps
 from .held_out import held_out, only_good_poses
 from .lasting import lasts
@@ -157,7 +158,7 @@ def odds_of(start: Explanation, one: Explanation, bare: Explanation, effect_id: 
         odds -= settings.share_of_form * max(in_place - left, 0.0)
     if in_one_pose(one, effect_id):
         return odds
-    odds -= lent_by_others(start, one, bare, effect_id, family, settings)
+    odds = less_what_is_lent(odds, start, one, bare, effect_id, family, settings)
     odds = max(odds, with_others_by_step(start, one, bare, effect_id, family))
     return max(odds, min(odds + needed(one, effect_id, settings) - settings.nats_over_structure, own))
 
@@ -167,25 +168,37 @@ def _of_form(one: Explanation, forms: Forms) -> float:
     return sum(p.log_evidence for p in one.remainder.structures if forms.has(p.structure))
 
 
-def lent_by_others(
-    start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings
-) -> float:
-    """Evidence that a name may have from causes beside it, nats: these have their form only nearly, and it mends it.
+def less_what_is_lent(
+    odds: float, start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family, settings: Settings
+) -> float:  # fmt: skip
+    """Evidence of a name without what it may have from causes beside it, nats: these have their form only nearly; it may mend it.
+
+    A share of theirs, but of friction in the gears, whose forms are many, no more than what is left of it where friction may
+    deviate from its form by any smooth function, of which half counts.
+    """
+    lenders, share = _lenders(one, bare, effect_id, settings)
+    lent = share * sum(max(bare.named - without(start, bare, i, family).named, 0.0) for i in lenders)
+    friction = [i for i in lenders if "order" in bare.term(i).effect.needs]
+    if lent <= 0.0 or not friction or odds < settings.nats_to_name:
+        return odds - lent
+    return max(odds - lent, min(odds, settings.share_beside_friction * evidence_beside(one, effect_id, friction, settings)))
+
+
+def _lenders(one: Explanation, bare: Explanation, effect_id: str, settings: Settings) -> tuple[list[str], float]:
+    """Effects beside one whose form that one may mend, and the share of their evidence that it may have of them.
 
     A step in time mends a drift; curves by which axes turn with their own angle mend the pull of a hose; what creeps and what a
     hose pulls mend friction in the gears, of which other parts of the load's history are seen.
     """
     scene, effect = one.study.ready, one.term(effect_id).effect
-    mine, share = forms_of(one.term(effect_id), scene), settings.share_feigned
+    mine = forms_of(one.term(effect_id), scene)
     if mine.angles:
-        lenders = [t.effect.id for t in bare.added if t.effect.loads_arm]
-    elif scene.kind == "loaded" and (effect.loads_arm or {"time", "load"} <= {*effect.needs}):
-        lenders, share = [t.effect.id for t in bare.added if "order" in t.effect.needs], settings.share_of_second_law
-    elif effect.family is Alike.TIME and not mine.drifts:
-        lenders = [t.effect.id for t in bare.added if forms_of(t, scene).drifts]
-    else:
-        return 0.0
-    return share * sum(max(bare.named - without(start, bare, i, family).named, 0.0) for i in lenders)
+        return [t.effect.id for t in bare.added if t.effect.loads_arm], settings.share_feigned
+    if scene.kind == "loaded" and (effect.loads_arm or {"time", "load"} <= {*effect.needs}):
+        return [t.effect.id for t in bare.added if "order" in t.effect.needs], settings.share_of_second_law
+    if effect.family is Alike.TIME and not mine.drifts:
+        return [t.effect.id for t in bare.added if forms_of(t, scene).drifts], settings.share_feigned
+    return [], 0.0
 
 
 def with_others_by_step(start: Explanation, one: Explanation, bare: Explanation, effect_id: str, family: Family) -> float:

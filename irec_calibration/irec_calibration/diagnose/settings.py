@@ -230,6 +230,10 @@ class Settings(Thresholds):
         0.05, "share of evidence", "of a structure that has no name, that it may lend to any name, however unlike",
         "chosen above `share_of_form`; without it play was named on a measured robot of which most has no name",
     )  # fmt: skip
+    share_beside_friction: float = threshold(
+        0.5, "share of evidence", "of creep or a hose beside friction that may deviate from its form, that counts for its name",
+        "chosen; where both were there, evidence of 20 to 240 was left, in sessions with friction alone 2",
+    )  # fmt: skip
     share_of_same_course: float = threshold(
         0.33, "share of evidence", "of a drift, above which structure with the load and what the drift follows leaves no drift",
         "chosen; gears that soften as they warm up were called thermal drift on an outside simulator, at 0.65",

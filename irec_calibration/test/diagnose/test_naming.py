@@ -99,7 +99,7 @@ def odds_beside(
     monkeypatch.setattr(naming, "of_axes", lambda *_: False)
     monkeypatch.setattr(naming, "with_others_by_step", lambda *_: -float("inf"))
     monkeypatch.setattr(naming, "in_one_pose", lambda *_: False)
-    monkeypatch.setattr(naming, "lent_by_others", lambda *_: 0.0)
+    monkeypatch.setattr(naming, "less_what_is_lent", lambda odds, *_: odds)
     family: Any = None
     return naming.odds_of(bare, one, bare, effect_id, family, SETTINGS)
 
@@ -182,15 +182,25 @@ def test_a_bearing_gives_way_instead_of_a_gear_where_it_explains_more_and_instea
     assert (odds > naming.needed(one, "joint_stiffening", SETTINGS)) == named
 
 
-def lent(monkeypatch: pytest.MonkeyPatch, effect_id: str, beside: str, kind: str = "absolute") -> float:
-    """Evidence that an effect has from another, which explains 180 nats."""
+def lent(
+    monkeypatch: pytest.MonkeyPatch, effect_id: str, beside: str, kind: str = "absolute", odds: float = 100.0, left: float = 0.0
+) -> float:
+    """Of the evidence of an effect what it has from another, which explains 180 nats.
+
+    Args:
+        left: evidence of the effect where that may deviate from its form.
+    """
     forms = {"thermal_drift": Forms(drifts=True), "encoder_harmonics": Forms(angles=frozenset({0}))}
     monkeypatch.setattr(naming, "forms_of", lambda term, _: forms.get(term.effect.id, Forms()))
     monkeypatch.setattr(naming, "without", lambda *_: SimpleNamespace(named=20.0))
-    scene = SimpleNamespace(kind=kind)
-    one: Any = SimpleNamespace(study=SimpleNamespace(ready=scene), term=lambda i: SimpleNamespace(effect=find_effect(i)))
-    bare: Any = SimpleNamespace(named=200.0, added=(SimpleNamespace(effect=find_effect(beside)),))
-    return naming.lent_by_others(bare, one, bare, effect_id, cast(Any, None), SETTINGS)
+    monkeypatch.setattr(naming, "evidence_beside", lambda *_: left)
+
+    def term(i: str) -> SimpleNamespace:
+        return SimpleNamespace(effect=find_effect(i))
+
+    one: Any = SimpleNamespace(study=SimpleNamespace(ready=SimpleNamespace(kind=kind)), term=term)
+    bare: Any = SimpleNamespace(named=200.0, added=(term(beside),), term=term)
+    return odds - naming.less_what_is_lent(odds, bare, one, bare, effect_id, cast(Any, None), SETTINGS)
 
 
 @pytest.mark.parametrize(("effect_id", "expected"), [("station_shift", 9.0), ("joint_backlash", 0.0), ("thermal_drift", 0.0)])
@@ -216,6 +226,18 @@ def test_what_creeps_and_what_a_hose_pulls_have_some_of_their_evidence_from_the_
     monkeypatch: pytest.MonkeyPatch, effect_id: str, beside: str, expected: float
 ) -> None:
     assert lent(monkeypatch, effect_id, beside, "loaded") == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("effect_id", "odds", "left", "expected"),
+    [("creep", 20.0, 24.0, 8.0), ("creep", 20.0, 60.0, 0.0), ("creep", 20.0, 3.0, 18.0), ("creep", 5.0, 60.0, 18.0)],
+    ids=["half of it counts", "no more than it has", "friction of another form does that too", "too little without friction"],
+)
+def test_what_creeps_beside_friction_keeps_half_of_what_is_left_where_friction_may_deviate_from_its_form(
+    monkeypatch: pytest.MonkeyPatch, effect_id: str, odds: float, left: float, expected: float
+) -> None:
+    """Beside friction of 700 nats a hose of 52 had to have 73."""
+    assert lent(monkeypatch, effect_id, "joint_hysteresis", "loaded", odds, left) == pytest.approx(expected)
 
 
 def beside_a_curve(
