@@ -19,6 +19,7 @@ NAMES = ("e_xx", "e_yy", "e_xy", "e_xz", "e_yx", "e_yz", "e_zx", "e_zy")
 LIMIT = 0.5
 LEAST_BESIDE_TURNING = 0.1  # of the turning part, that E has besides: axes that read each other by chance don't turn the force
 MOST_BESIDE_TURNING = 0.5  # likewise, of a matrix that is rather a turned sensor, where that explains as much
+TURNS_MORE = 1.5  # times the other channels, RMS; chosen: of eight that are about as large two are alike by chance
 LEAST_TURN, ALIKE = 0.02, 0.15  # rad; share of it by which the two axes that a turn mixes differ from one another; chosen
 
 
@@ -70,7 +71,9 @@ class SensorGain(Effect):
             return None
         xy, yx = (values[n] for n in pair)
         turns = 0.5 * (yx - xy)
-        if abs(turns) < LEAST_TURN or abs(yx + xy) > 2.0 * ALIKE * abs(turns):
+        others = [v for n, v in values.items() if n not in pair]
+        least = max(LEAST_TURN, TURNS_MORE * float(np.sqrt(np.mean(np.square(others)))) if others else 0.0)
+        if abs(turns) < least or abs(yx + xy) > 2.0 * ALIKE * abs(turns):
             return None
         return "sensor_alignment", {"w_z": turns}, frozenset(pair)
 

@@ -11,6 +11,7 @@ from .scene import Scene
 from .traits import Cause, Evidence, Family
 
 AXES = ("x", "y", "z")
+FEWEST = 3  # poses on either side of a shift, as where it is asked whether one of a loaded session lasts
 
 
 class StationShift(Effect):
@@ -34,6 +35,8 @@ class StationShift(Effect):
         moments = 0.5 * (stamps[1:] + stamps[:-1])
         if scene.kind == "loaded":
             moments = moments[_parts_a_pose(scene, moments)]
+        else:
+            moments = moments[_has_poses_on_both_sides(scene, moments)]
         between = tuple(float(t) for t in moments)
         if not between:
             return ()
@@ -74,3 +77,14 @@ def _parts_a_pose(scene: Scene, moments: Array) -> BoolArray:
     over = np.searchsorted(np.sort(np.maximum(start, end)), moments, side="right")
     parted: BoolArray = begun > over
     return parted
+
+
+def _has_poses_on_both_sides(scene: Scene, moments: Array) -> BoolArray:
+    """Moments before and after which an absolute session has several poses: what one alone shows is an accident of that pose."""
+    order = np.argsort(scene.stamp, kind="stable")
+    stamp, pose = scene.stamp[order], scene.pose[order]
+    first = np.flatnonzero(np.append(True, pose[1:] != pose[:-1]))  # of each visit
+    begin, end = stamp[first], stamp[np.append(first[1:], len(stamp)) - 1]
+    before, after = np.searchsorted(end, moments), len(begin) - np.searchsorted(begin, moments)
+    enough: BoolArray = np.minimum(before, after) >= FEWEST
+    return enough

@@ -41,6 +41,18 @@ def test_a_station_that_was_bumped_turns_what_it_sees_from_then_on() -> None:
     np.testing.assert_allclose(moved, turned(scene) * late, atol=1e-6)
 
 
+@pytest.mark.parametrize("rounds", [1, 2])
+def test_a_station_is_bumped_where_three_poses_and_more_were_seen_before_and_after(rounds: int) -> None:
+    """What the first pose alone shows was called a bump of another simulator's station, which nobody had touched."""
+    once = session(poses=12, markers=THREE_MARKERS)
+    drawn = replace(once, pose=(once.pose - 1) % (12 // rounds) + 1, repeat=(once.pose - 1) // (12 // rounds))
+    scene = scene_of(drawn)
+    shift = next(p for p in find_effect("station_shift").parameters(scene) if p.name == "t_shift")
+    visits = np.unique(scene.stamp)
+    assert len(visits) == 12, "one reading each"
+    assert min(shift.grid) == pytest.approx(visits[2:4].mean()) and max(shift.grid) == pytest.approx(visits[-4:-2].mean())
+
+
 def test_a_stand_that_leans_turns_what_is_seen_in_proportion_to_time() -> None:
     scene = scene_of(session(poses=12, markers=THREE_MARKERS))
     rate = TURN / scene.stamp.max()
