@@ -54,16 +54,19 @@ def lasts(study: Study, shift: Term) -> float:
     with_tool = after[:, None] * (R[rows] @ (R[here].T @ d))
     # the station may stand anywhere, in metres, and be turned, and the marker sit elsewhere: causes that may have no name yet
     anywhere, turned = np.tile(np.eye(3), (len(rows), 1, 1)), LASTING.turned_rad * _all_turn(scene.p_observed[rows])
-    ground = np.concatenate([anywhere, turned, LASTING.elsewhere_m * R[rows], usually_beyond(study, rows)], axis=2)
+    plain = np.concatenate([anywhere, turned, LASTING.elsewhere_m * R[rows], usually_beyond(study, rows)], axis=2)
+    drifts = LASTING.drifts_m * _course(study, rows)[:, :, None, None] * np.eye(3)
+    drifting = np.concatenate([plain, *np.moveaxis(drifts, 1, 0)], axis=2)
+    grounds = (plain, drifting)  # either likely beforehand
     again = _same_pose(session.pose[rows])
-    once, turns = (_beside_poses(mean - step, ground, again) for step in (0.0 * in_base, with_tool))
+    once, turns = (_beside_poses(mean - step, grounds, again) for step in (0.0 * in_base, with_tool))
     # a station that is bumped tilts, too: about where it was bumped, of which the step itself knows nothing
     tilts = LASTING.tilt_rad * _all_turn(scene.p_observed[rows] - scene.p_observed[here])
 
     def carried(late: Array) -> float:
         """Log evidence of a step, straight or with a tilt, that the readings marked by 1 have, (rows,)."""
-        straight = _beside_poses(mean - late[:, None] * d, ground, again)
-        tilted = np.concatenate([ground, late[:, None, None] * tilts], axis=2)
+        straight = _beside_poses(mean - late[:, None] * d, grounds, again)
+        tilted = tuple(np.concatenate([g, late[:, None, None] * tilts], axis=2) for g in grounds)
         return float(np.logaddexp(straight, _beside_poses(mean - late[:, None] * d, tilted, again)) - np.log(2.0))
 
     mine, others = carried(after.astype(float)), max(once, turns)
@@ -96,13 +99,15 @@ def _same_pose(pose: IntArray) -> Array:
     return np.asarray(np.einsum("np,ij->nipj", mine, np.eye(3)).reshape(len(pose), 3, -1))
 
 
-def _beside_poses(values: Array, ground: Array, again: Array) -> float:
-    """Log evidence of readings under columns and a place of each pose, whose size is left open between none and millimetres.
+def _beside_poses(values: Array, grounds: tuple[Array, ...], again: Array) -> float:
+    """Log evidence of readings under columns, of several sets that are equally likely, and a place of each pose, whose size is
+    left open between none and millimetres.
 
     Where nothing was measured twice such a place is scatter, which is left open anyway.
     """
     levels = POSE_LEVELS if again.shape[2] < 3 * len(values) else POSE_LEVELS[:1]
-    found = [fitted(values, np.concatenate([ground, size * again], axis=2))[0] for size in LASTING.pose_m * levels]
+    sizes = LASTING.pose_m * levels
+    found = [fitted(values, np.concatenate([g, size * again], axis=2))[0] for g in grounds for size in sizes]
     return float(np.logaddexp.reduce(found) - np.log(len(found)))
 
 
@@ -126,7 +131,7 @@ def usually_beyond(study: Study, rows: IntArray) -> Array:
     p, q, J = scene.p_observed[rows], scene.q[rows], scene.J[rows]
     station = scene.station[rows]
     turn = np.concatenate([_all_turn(p) * (station == s)[:, None, None] for s in np.unique(station)], axis=2)  # each by itself
-    course = (scene.stamp[rows] - scene.stamp[rows].mean()) / max(float(np.ptp(scene.stamp[rows])), 1e-9)
+    course = _course(study, rows)[:, 0]
     # whether a base that rides is seen from where it stands or from the cell, and how straight its way is
     rides = [(v[rows] - v[rows].mean())[:, None, None] * np.eye(3) for v in scene.ext.values() if np.isfinite(v[rows]).all()]
     return np.concatenate(
@@ -140,6 +145,13 @@ def usually_beyond(study: Study, rows: IntArray) -> Array:
             whole_sag_of(study.terms, scene)[rows][:, :, None],
         ], axis=2,
     )  # fmt: skip
+
+
+def _course(study: Study, rows: IntArray) -> Array:
+    """Time over the session, from -1/2 to 1/2 about its mean, and its square, (rows, 2)."""
+    stamp = study.observation.scene.stamp[rows]
+    course = (stamp - stamp.mean()) / max(float(np.ptp(stamp)), 1e-9)
+    return np.stack([course, course**2], axis=1)
 
 
 def _all_turn(p: Array) -> Array:

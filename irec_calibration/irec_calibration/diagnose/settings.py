@@ -31,6 +31,7 @@ class LastingThresholds(Thresholds):
     place_m: float = threshold(3e-4, "m", "place of the station, and of the marker on the tool", "prior")
     angle_rad: float = threshold(3e-4, "rad", "of the station, joint zeros, and tilts of axes", "prior")
     elsewhere_m: float = threshold(0.1, "m", "place of the marker on the tool, stated wrongly", "prior: any on the tool")
+    drifts_m: float = threshold(3e-4, "m", "drift over the session, and how it bends, that may be a cause", "prior: a warm-up")
     turned_rad: float = threshold(0.03, "rad", "of the station, stated wrongly", "prior: two degrees")
     tilt_rad: float = threshold(1e-3, "rad", "of a station that was bumped", "prior: a millimetre at the foot of a tripod")
     periodic_rad: float = threshold(1e-4, "rad", "of joint angles, with the angle", "prior")

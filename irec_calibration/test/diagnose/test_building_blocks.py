@@ -111,6 +111,15 @@ def test_wherever_the_marker_sits_on_the_tool_a_bump_shows_in_later_readings() -
     assert lasts(prepared_from(drawn, beside), shift(STEP)) > 6.5
 
 
+@pytest.mark.parametrize("drift", [0.0, -6e-4, 6e-4])
+def test_a_bump_shows_in_later_readings_while_the_station_drifts(drift: float) -> None:
+    """By 0.6 mm over the session, which has no name yet: later readings had been against the step."""
+    drawn = synthetic.session(poses=20, seed=5, extra=station_is_bumped)
+    course = drawn.stamp / drawn.stamp.max()
+    along = STEP / np.linalg.norm(STEP) @ drawn.stations[0].R_in_base
+    assert lasts(prepared_from(drawn, drift * course[:, None] * along), shift(STEP)) > 6.5
+
+
 @pytest.mark.parametrize("sags", [0.0, 1.0])
 def test_a_bump_shows_in_later_readings_of_a_soft_arm_whether_or_not_its_controller_commands_the_sag_away(sags: float) -> None:
     """The weight of another simulator's arm turned joints by a milliradian, and a bump of half a millimetre was none."""
