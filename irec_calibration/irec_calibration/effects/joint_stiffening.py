@@ -121,6 +121,8 @@ class JointStiffening(Effect):
     def ends_at(self, values: Mapping[str, float], scene: Scene) -> str:
         theta = np.array([values.get(p.name, p.start) for p in self.parameters(scene)])
         driven, a = np.flatnonzero(scene.driven), _of_axes(scene, theta)[0]
+        if np.isinf(_ends_at(theta[-1])):  # a stiffness that goes on growing is no play, however soon it begins to
+            return ""
         counts = np.abs(a) >= COUNTS * np.abs(a).max(initial=1e-300)
         shares = (_x_0(scene, theta) / rated_torque(scene.robot)[driven])[counts]
         stated = rating_known(scene.robot)[driven][counts]

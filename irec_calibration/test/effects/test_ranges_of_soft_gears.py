@@ -93,6 +93,7 @@ def test_an_axis_whose_limit_is_stated_is_no_play_though_another_one_has_no_limi
     [
         (None, {"a_1": SOFTER, "x_0": 0.03, "slow": 0.0}, "joint_backlash"),
         (None, {"a_1": SOFTER, "x_0": 0.03, "slow": 0.5}, "joint_backlash"),
+        (None, {"a_1": SOFTER, "x_0": 0.03, "slow": 1.0}, ""),
         (None, {"a_1": SOFTER, "a_2": SOFTER, "u_2": 0.5, "x_0": 0.03, "slow": 0.0}, ""),
         (None, {"a_1": SOFTER, "a_2": 0.01 * SOFTER, "u_2": 0.5, "x_0": 0.03, "slow": 0.0}, "joint_backlash"),
         (None, {"a_1": SOFTER, "x_0": 0.05, "slow": 0.0}, ""),
