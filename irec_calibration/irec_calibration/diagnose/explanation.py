@@ -209,7 +209,7 @@ def usual(one: Explanation, effect_id: str) -> bool:
     share = sqrt(float((own**2).sum())) / whole
     if effect.is_usual(values, surely * share, study.ready):
         return True
-    if study.ready.kind != "loaded":
+    if study.ready.kind != "loaded" or share * _known(one, effect_id, own) > effect.usual_at_most:
         return False
     # two of them that do what one cause does take it up from each other, and are seen together only
     most = {t.effect.id: t.effect.usual_visible * whole for t in one.added if t.effect.usual_visible > 0.0}
@@ -280,11 +280,21 @@ def _visible(one: Explanation, ids: Sequence[str], moved: Mapping[str, Array]) -
     Args:
         moved: displacement that is observed of each effect, (m, 3), m.
     """
+    observation = one.study.observation
+    left = _beside_the_rest(one, ids, sum((moved[i] for i in ids), np.zeros_like(observation.y)))
+    return sqrt(float((observation.whiten.undo(left.reshape(-1, 3)) ** 2).sum()))
+
+
+def _known(one: Explanation, effect_id: str, own: Array) -> float:
+    """Share of what an effect moves, (m, 3), m, that is certain: less two standard errors of its size beside the rest."""
+    return max(1.0 - SURELY / max(float(np.linalg.norm(_beside_the_rest(one, [effect_id], own))), 1e-150), 0.0)
+
+
+def _beside_the_rest(one: Explanation, ids: Sequence[str], moved: Array) -> Array:
+    """What is left of a displacement of some effects, (m, 3), m, beside the rest of a model, whitened, (3m,)."""
     study = one.study
     rest = study.base.take([i for i, owner in enumerate(study.owners) if owner not in ids])
-    together = study.observation.whiten(sum((moved[i] for i in ids), np.zeros_like(study.observation.y)))
-    left = Ground(study.bench, rest).beside(together.ravel())
-    return sqrt(float((study.observation.whiten.undo(left.reshape(-1, 3)) ** 2).sum()))
+    return Ground(study.bench, rest).beside(study.observation.whiten(moved).ravel())
 
 
 def everywhere(one: Explanation, effect_id: str) -> bool:

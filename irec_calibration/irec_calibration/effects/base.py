@@ -123,6 +123,7 @@ class Effect(ABC):
         everywhere: kinds of session in which every robot has it and shows it, only its size is not known.
         usual_in: kinds of session in which it may be no larger than in every robot (`is_usual`).
         usual_by_known: of values that the session does not know by itself that is not asked.
+        usual_at_most: share of the deflection, RMS, that it moves for certain, above which it is more, however little is seen.
         usual_visible: share of the deflection, RMS, up to which it is as in every robot whatever its values, counted of what the
             rest of the model does not take up; in a loaded session.
         usual_alone: share of that, from which it is a cause whatever its values where a loaded session has no other;
@@ -161,6 +162,7 @@ class Effect(ABC):
     usual_in: ClassVar[tuple[str, ...]] = ("loaded",)
     usual_by_known: ClassVar[bool] = False
     usual_visible: ClassVar[float] = 0.0
+    usual_at_most: ClassVar[float] = np.inf
     usual_alone: ClassVar[float] = np.inf
     usual_beside: ClassVar[float] = np.inf
     beside: ClassVar[str] = ""

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..typing import Array
@@ -41,6 +43,13 @@ class JointSettling(Effect):
         travel = Parameter("travel", "0 or 1", 1.0, 0.0, 1.0, start=1.0, grid=(0.0, 1.0))
         over = Parameter("over", "rad", 1.0, 0.5 * shortest, longest, start=longest, grid=OVER)
         return (*axes, travel, over) if loaded else (*axes, over)
+
+    def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
+        a, over = [v for n, (v, _) in values.items() if n.startswith("a_")], values.get("over", (OVER[-1], 0.0))[0]
+        largest = max(a, key=abs, default=0.0)
+        if scene.kind != "absolute" or largest >= 0.0 or over >= OVER[0]:
+            return ""
+        return f"the arm would be behind, and by no more after steps longer than {over:.2g} rad, as friction holds it back"
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         return self._columns(scene, theta) @ theta[: int(scene.driven.sum())]

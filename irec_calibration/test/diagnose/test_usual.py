@@ -166,6 +166,31 @@ def test_what_springs_of_links_take_up_is_usual_however_much_of_it_there_is(monk
     assert usual(one, effect_id) == usual_
 
 
+@pytest.mark.parametrize(("share", "known", "usual_"), [(0.05, 0.8, False), (0.05, 0.6, True), (0.02, 1.0, True)])
+def test_creep_of_more_than_a_few_per_cent_for_certain_is_not_usual_however_little_of_it_is_seen(
+    monkeypatch, share: float, known: float, usual_: bool
+) -> None:
+    """Most of it looks like softer gears: creep of 5 % of the deflection, of which 0.7 % were seen, had been usual."""
+    plain = study(lambda scene: np.zeros((len(scene), 3)))
+    creep = Term(find_effect("creep"), {"share": Estimate(share), "T": Estimate(1e-3)})  # all of it at once
+    with_it = study_of(plain.observation, (*plain.terms, creep))
+    of_that_size = replace(with_it, fit=replace(with_it.fit, terms=(*plain.terms, creep)))
+    one = Explanation((creep,), of_that_size, 0.0, grow(with_it.bench, family_of(with_it), with_it.base))
+    monkeypatch.setattr(explanation, "_visible", lambda one, ids, moved: 0.0)
+    monkeypatch.setattr(explanation, "_known", lambda one, effect_id, own: known)
+    assert usual(one, "creep") == usual_
+
+
+def test_how_much_an_effect_moves_is_known_as_well_as_it_is_told_from_the_rest() -> None:
+    plain = study(lambda scene: np.zeros((len(scene), 3)))
+    with_it = study_of(plain.observation, (*plain.terms, Term(find_effect("creep"))))
+    one = Explanation(with_it.terms[-1:], with_it, 0.0, grow(with_it.bench, family_of(with_it), with_it.base))
+    in_place_of_a_spring = total_displacement(with_it.terms[:1], with_it.observation.scene)
+    of_no_spring = np.random.default_rng(3).normal(0.0, 1e-3, in_place_of_a_spring.shape)
+    taken_up, told = (explanation._known(one, "creep", with_it.observation.of(m)) for m in (in_place_of_a_spring, of_no_spring))
+    assert taken_up == 0.0 and told > 0.95
+
+
 @pytest.mark.parametrize("beside", [False, True])
 @pytest.mark.parametrize(
     ("of_deflection", "of_noise", "expected"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import absolute_sessions
 import numpy as np
 import pytest
 import synthetic
@@ -59,3 +60,21 @@ def test_what_is_left_of_a_long_travel_grows_no_further_than_its_range(over: flo
     theta = np.array([{"a_2": 0.01, "travel": 1.0, "over": over}.get(p.name, 0.0) for p in effect.parameters(scene)])
     left = 0.01 * (travel[longest] if over > 10.0 else 0.2 * np.tanh(travel[longest] / 0.2))
     np.testing.assert_allclose(effect.displacement(scene, theta)[longest], left * scene.J[longest, :, 1], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "a", "over", "possible"),
+    [
+        ("absolute", -1.7e-4, 0.25, False),
+        ("absolute", 1.7e-4, 0.25, True),  # ahead of what was reported, as one that settles is
+        ("absolute", -1.7e-4, 2.0, True),
+        ("loaded", -1.7e-4, 0.25, True),  # there the travel to the reference is another one
+    ],
+)
+def test_an_arm_that_is_behind_by_no_more_after_a_longer_step_does_not_settle(
+    kind: str, a: float, over: float, possible: bool
+) -> None:
+    """Friction that turns over a quarter of a radian had `joint_settling` beside it, of two simulators."""
+    scene = scene_of(absolute_sessions.session(poses=4) if kind == "absolute" else synthetic.session(poses=2))
+    values = {"a_2": (a, 1e-6), "a_3": (-0.1 * a, 1e-6), "over": (over, 0.01)}
+    assert (find_effect("joint_settling").why_impossible(values, {}, scene) == "") == possible
