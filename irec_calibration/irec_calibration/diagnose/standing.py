@@ -244,13 +244,16 @@ def _part_of_another(one: Explanation, bare: Explanation, effect_id: str, settin
 
 def _of_another_form(one: Explanation, bare: Explanation, effect_id: str, settings: Settings) -> bool:
     """Whether beside a compliance that goes with its axis' own angle much of such a compliance is left: no linkage has that form;
-    likewise of a base what goes with the first axis: a foot that lifts, or a ring of bolts that gapes, is no spring.
+    likewise of a base of a loaded session what goes with the first axis: a foot that lifts, or bolts that gape, are no spring.
+    An absolute session has little but the weight to tell it by, and much else that goes with that axis.
 
     Args:
         bare: the model without it.
     """
     term = one.term(effect_id)
-    turns = forms_of(term, one.study.ready).turns | {term.effect.softens_with} - {None}
+    turns = forms_of(term, one.study.ready).turns
+    if term.effect.softens_with is not None and one.study.ready.kind == "loaded":
+        turns |= {term.effect.softens_with}
     left = sum(p.log_evidence for p in one.remainder.structures if p.structure.softer_by_angle in turns)
     return bool(left > max(settings.nats_for_structure, settings.share_of_same_form * (one.named - bare.named)))
 

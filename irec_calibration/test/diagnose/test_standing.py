@@ -211,7 +211,7 @@ def test_a_compliance_that_goes_with_its_angle_beside_which_more_of_it_is_left_i
     """A gear of axis 2 whose compliance ripples five times per turn was called a counterbalance, with 35 beside 370 left."""
     monkeypatch.setattr(standing, "forms_of", lambda *_: Forms(turns=frozenset({1})))
     structure = SimpleNamespace(log_evidence=left, structure=SimpleNamespace(softer_by_angle=axis))
-    study = SimpleNamespace(ready=None)
+    study = SimpleNamespace(ready=SimpleNamespace(kind="loaded"))
     term = SimpleNamespace(effect=find_effect("counterbalance"))
     one: Any = SimpleNamespace(named=370.0, remainder=SimpleNamespace(structures=(structure,)), study=study, term=lambda _: term)
     bare: Any = SimpleNamespace(named=0.0)
@@ -219,15 +219,22 @@ def test_a_compliance_that_goes_with_its_angle_beside_which_more_of_it_is_left_i
 
 
 @pytest.mark.parametrize(
-    ("axis", "left", "of_another_form"), [(0, 65.0, True), (0, 12.0, False), (1, 65.0, False), (None, 65.0, False)]
+    ("kind", "axis", "left", "of_another_form"),
+    [
+        ("loaded", 0, 65.0, True),
+        ("loaded", 0, 12.0, False),
+        ("loaded", 1, 65.0, False),
+        ("loaded", None, 65.0, False),
+        ("absolute", 0, 65.0, False),
+    ],
 )
 def test_a_base_beside_which_much_that_goes_with_the_first_axis_is_left_is_no_spring(
-    monkeypatch: pytest.MonkeyPatch, axis: int | None, left: float, of_another_form: bool
+    monkeypatch: pytest.MonkeyPatch, kind: str, axis: int | None, left: float, of_another_form: bool
 ) -> None:
     """A pedestal of which one foot lifts was called a soft base, with 65 beside 252 left; beside soft bases nothing is."""
     monkeypatch.setattr(standing, "forms_of", lambda *_: NO_FORMS)
     structure = SimpleNamespace(log_evidence=left, structure=SimpleNamespace(softer_by_angle=axis))
-    term, study = SimpleNamespace(effect=find_effect("base_compliance")), SimpleNamespace(ready=None)
+    term, study = SimpleNamespace(effect=find_effect("base_compliance")), SimpleNamespace(ready=SimpleNamespace(kind=kind))
     one: Any = SimpleNamespace(named=252.0, remainder=SimpleNamespace(structures=(structure,)), study=study, term=lambda _: term)
     bare: Any = SimpleNamespace(named=0.0)
     assert standing._of_another_form(one, bare, "base_compliance", SETTINGS) == of_another_form
