@@ -183,7 +183,7 @@ class Deflection:
                 tick.directions, tick.moments = J[3:, columns], J[:3, columns]
                 unseen = J.T @ self._at_base(pull.force(tick, chain.p_tcp, R), pull.torque(tick, chain.p_tcp, R))
                 if pull.beyond:
-                    unseen += beyond * (J.T @ self._at_base(*pull.between(tick, chain.p_tcp)))
+                    unseen += beyond * (J.T @ self._at_base(*pull.between(tick, chain.p_tcp, R)))
                 tick.tau_unseen += unseen[tick.drives]
                 dq += self._answer(unseen)
         else:

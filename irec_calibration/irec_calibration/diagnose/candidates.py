@@ -13,6 +13,7 @@ import numpy as np
 
 from ..effects import Effect, Parameter, known_effects
 from ..effects.scene import Scene
+from ..effects.traits import Family
 from ..errors import EffectError, SolveError
 from ..typing import Array, BoolArray
 from .columns import beside_springs, block_columns
@@ -24,6 +25,7 @@ from .study import Study
 
 SMALLEST_COLUMN = 1e-3  # whitened length of a column at its parameter's scale below which it can't show
 FORWARD_STEPS = 3
+CARRIED_OTHERWISE = 0.02  # of what a gear carries, RMS; chosen: what less does to a law is as small as what linear problems leave
 
 
 @dataclass(frozen=True)
@@ -106,12 +108,14 @@ class Option:
     Attributes:
         by_springs: what it does goes with springs, which the start of an absolute session has none of: asked anew of each model.
         places: of groups that have one.
+        carried: what gears carry by the model that the tables of a law of torque are of, (n, k), N m; None for other effects.
     """
 
     effect: Effect
     tables: tuple[Table, ...]
     by_springs: bool = False
     places: tuple[Places, ...] = ()
+    carried: Array | None = None
 
     def placed(self, ground: Ground) -> tuple[Table, ...]:
         """The tables, with those of groups that have a place where it is best on a ground."""
@@ -120,15 +124,21 @@ class Option:
             place, log_prior = of.best(ground)
             for table in self.tables:
                 block, parameters = block_columns(of.study, self.effect, table.shape | place)
+                _leave(block, parameters, _at_no_place(self.effect.parameters(of.study.ready)) - {of.group})
                 more.append(Table(table.shape | place, block, tuple(parameters), of.group, log_prior))
         return *self.tables, *more
 
     def on(self, study: Study) -> Option:
-        """The same on top of a model; without tables where it moves nothing there."""
-        if not self.by_springs:
+        """The same on top of a model; without tables where it moves nothing there.
+
+        Laws of torque are asked anew of a model by which gears carry something else: beside a hose play is crossed elsewhere.
+        """
+        if not self.by_springs and (self.carried is None or not _differs(_carried(study), self.carried)):
             return self
-        found, _ = options(study, [self.effect])
-        return replace(self, tables=found[0].tables, places=found[0].places) if found else replace(self, tables=(), places=())
+        if self.effect.id not in study.tables:
+            found, _ = options(study, [self.effect])
+            study.tables[self.effect.id] = found[0] if found else replace(self, tables=(), places=())
+        return study.tables[self.effect.id]
 
 
 def options(
@@ -151,7 +161,8 @@ def options(
         tables = tuple(t for t in tables if t.groups)
         by_springs = study.ready.kind == "absolute" and effect.loads_arm and not why
         if tables or by_springs:
-            found.append(Option(effect, tables, by_springs, places))
+            carried = _carried(study) if effect.family is Family.TORQUE_LAW else None
+            found.append(Option(effect, tables, by_springs, places, carried))
         else:
             skipped[effect.id] = why or "it moves nothing in this session"
     return found, skipped
@@ -160,13 +171,34 @@ def options(
 def _tables(study: Study, effect: Effect) -> Iterator[Table]:
     """All columns of an effect for each choice of its shape values, none of groups that have a place of their own or refine."""
     own = effect.parameters(study.ready)
-    shaped, left = [p for p in own if p.grid and not p.shapes], {p.shapes or p.group for p in own if p.shapes or p.refines}
+    shaped, left = [p for p in own if p.grid and not p.shapes], _at_no_place(own)
     for values in product(*(p.grid for p in shaped)):
         shape = {p.name: v for p, v in zip(shaped, values, strict=True)}
         block, parameters = block_columns(study, effect, shape)
-        if left:
-            block.A[:, [p.group in left for p in parameters]] = 0.0
+        _leave(block, parameters, left)
         yield Table(shape, block, tuple(parameters))
+
+
+def _carried(study: Study) -> Array:
+    """What gears carry by a model, weight included, (n, k), N m."""
+    return study.ready.tau_acting + study.ready.tau_gravity
+
+
+def _differs(carried: Array, before: Array) -> bool:
+    """Whether any gear carries something else than before, by enough for a law of its torque to look otherwise."""
+    change, size = np.sqrt(np.mean((carried - before) ** 2, axis=0)), np.sqrt(np.mean(carried**2, axis=0))
+    return bool(np.any(change > CARRIED_OTHERWISE * size))
+
+
+def _at_no_place(own: Sequence[Parameter]) -> set[str]:
+    """Groups of an effect that have a place of their own, or refine others."""
+    return {p.shapes or p.group for p in own if p.shapes or p.refines}
+
+
+def _leave(block: Block, parameters: Sequence[Parameter], groups: set[str]) -> None:
+    """Groups that have a place, at none, and those that refine others show in no table."""
+    if groups:
+        block.A[:, [p.group in groups for p in parameters]] = 0.0
 
 
 def block_at(study: Study, variant: Variant, shape: dict[str, float]) -> Block:

@@ -26,6 +26,7 @@ from .priors import FORM_LEVELS, choices, level_key, level_of_form, log_odds_of_
 from .settings import SETTINGS
 
 if TYPE_CHECKING:
+    from .candidates import Option
     from .remainder import Part, Remainder
 
 ROUGHLY = 1e-4  # relative fall of the loss at which springs are known well enough to set widths by them
@@ -48,7 +49,8 @@ class Study:
         apart: rows that stand out and have noise of their own in it (`apart.py`); as_stated: the same with that for
             accidents only (`accidents.py`), None where no row stands out.
         form: level of the priors of what completes the form of springs, by `level_key`.
-        kept: remainders beside it that were asked for (`explanation.remainder_of`).
+        kept: remainders beside it that were asked for (`explanation.remainder_of`); tables: of effects on top of it, by id
+            (`candidates.Option.on`).
     """
 
     fit: Fit
@@ -62,6 +64,7 @@ class Study:
     as_stated: Study | None = None
     form: dict[str, float] = field(default_factory=dict)
     kept: dict[object, tuple[object, Remainder]] = field(default_factory=dict, init=False, repr=False, compare=False)
+    tables: dict[str, Option] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def to_weigh(self) -> Study:

@@ -19,6 +19,7 @@ from .hoses import (
     OF_HOSE,
     OF_PLACE,
     PLACE,
+    PRESSED,
     TAUT,
     drawn,
     forearm,
@@ -27,6 +28,7 @@ from .hoses import (
     of_moored_hose,
     of_place,
     of_taut_hose,
+    pull_when_tight,
     stands_elsewhere,
     taut,
     to_place,
@@ -58,9 +60,9 @@ class ExternalForce(Effect):
         "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
         "wrist axis, or with the first where it comes from the cell; along axes of tool0, turning with a wrist axis, where it is "
         "fixed to a link of the wrist; between forearm and flange, where a dress pack that is fixed to both pulls them together "
-        "and bends the wrist alone, with a constant force, or always, as a hose that is slack up to its length, or between "
-        "the cell and a point of the tool, always and as a spring: then the joint angles of reference and load case make the "
-        "difference; and a torque, since it does not pull at the TCP. "
+        "and bends the wrist alone, with a constant force, as a hose that is slack up to its length and under pressure while the "
+        "process runs, or always, as such a hose, or between the cell and a point of the tool, always and as a spring: then the "
+        "joint angles of reference and load case make the difference; and a torque, since it does not pull at the TCP. "
         "Missing, the residual is there whatever the process force and depends on the pose only. In a loaded session a force "
         "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload, or "
         "at the wrist a forearm, of another mass."
@@ -104,7 +106,8 @@ class ExternalForce(Effect):
             *(pull(f"f_{d}_pack", "between forearm and flange") for d in FOREARM if has_pack(scene)),
             *(of_place(scene) if scene.kind == "loaded" else ()),
             *(of_moored_hose(scene) if _has_moored(scene) else ()),
-            *(of_taut_hose(scene) if has_pack(scene) else ()),
+            *(of_taut_hose(scene) if has_pack(scene) and _has_moored(scene) else ()),
+            *(of_taut_hose(scene, pressed=True) if has_pack(scene) else ()),
         )
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
@@ -117,10 +120,11 @@ class ExternalForce(Effect):
             return np.zeros((len(scene), 3, len(self.parameters(scene))))
         on_arm, pack = wrenches(scene)
         of_pack = np.zeros((len(scene), 3, pack.shape[2])) if scene.elastic.of_wrist is None else scene.elastic.of_wrist @ pack
-        place, cell, hose = _shaped(theta, on_arm.shape[2] + pack.shape[2], scene)
+        place, cell, hose, press = _shaped(theta, on_arm.shape[2] + pack.shape[2], scene)
         by_place = scene.elastic.compliance @ np.concatenate([to_place(scene, place), moored(scene, cell)], axis=2)
-        by_hose = taut(scene, hose)
-        by_hose = np.zeros((len(scene), 3, len(hose))) if scene.elastic.of_wrist is None else scene.elastic.of_wrist @ by_hose
+        by_hose = np.concatenate([taut(scene, hose), taut(scene, press, pressed=True)], axis=2)
+        of_wrist = scene.elastic.of_wrist
+        by_hose = np.zeros((len(scene), 3, by_hose.shape[2])) if of_wrist is None else of_wrist @ by_hose
         return np.concatenate([scene.elastic.compliance @ on_arm, of_pack, by_place, by_hose], axis=2)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:
@@ -143,8 +147,9 @@ class ExternalForce(Effect):
 
     def where_to_look(self, values: Mapping[str, float], proven: Sequence[str]) -> str:
         look = "in base_link; look what hangs or is fixed there"
-        if TAUT in proven:  # how long it is can't be told from where it is tied
-            return "a hose between forearm and flange comes tight in some poses; look how it is laid"
+        if TAUT in proven or PRESSED in proven:  # how long it is can't be told from where it is tied
+            when = "in some poses" if TAUT in proven else "while the process runs, as one under pressure does"
+            return f"a hose between forearm and flange comes tight {when}; look how it is laid"
         if CELL in proven:
             place = _point(values.get(f"from_{a}", 0.0) for a in AXES)
             return f"a hose pulls with and without the process towards about ({place}) m {look}"
@@ -168,7 +173,7 @@ class ExternalForce(Effect):
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
         on_arm, pack = _by_values(scene, theta)
-        _, cell, hose = _shaped(theta, 0, scene)
+        _, cell, hose, _ = _shaped(theta, 0, scene)
         if cell[:3].any():
             on_arm = on_arm + moored(scene, cell)[:, :, :3] @ cell[:3]
         if hose[:1].any():
@@ -244,10 +249,12 @@ def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
     and flange."""
     on_arm, pack = wrenches(scene)
     of_arm, end = on_arm.shape[2], on_arm.shape[2] + pack.shape[2]
-    place, _, _ = _shaped(theta, end, scene)
+    place, _, _, press = _shaped(theta, end, scene)
     out, on_flange = on_arm @ theta[:of_arm], pack @ theta[of_arm:end]
     if place[:3].any():
         out += to_place(scene, place)[:, :, :3] @ place[:3]
+    if press[:1].any():
+        on_flange += taut(scene, press, pressed=True)[:, :, 0] * press[0]
     return out, on_flange
 
 
@@ -259,16 +266,18 @@ def _has_moored(scene: Scene) -> bool:
     return kept["moored"]
 
 
-def _shaped(theta: Array, first: int, scene: Scene) -> tuple[Array, Array, Array]:
-    """Values of the pull towards a place, (6,), of a hose from the cell, (9,), and of one between forearm and flange, (8,); or
-    none of them, (0,).
+def _shaped(theta: Array, first: int, scene: Scene) -> tuple[Array, Array, Array, Array]:
+    """Values of the pull towards a place, (6,), of a hose from the cell, (9,), of one between forearm and flange, (8,), and of
+    one that is under pressure with the process, (8,); or none of them, (0,).
 
     Args:
         first: where the first of these begin; 0 where only the others are asked for.
     """
+    always = _has_moored(scene)
     end = len(theta) - OF_HOSE * has_pack(scene)
-    cell = end - OF_CELL * _has_moored(scene)
-    return theta[first:cell], theta[cell:end], theta[end:]
+    hose = end - OF_HOSE * (has_pack(scene) and always)
+    cell = hose - OF_CELL * always
+    return theta[first:cell], theta[cell:hose], theta[hose:end], theta[end:]
 
 
 class _Pull(Pull):
@@ -282,13 +291,14 @@ class _Pull(Pull):
         last = end + 10 + 6 * len(self._turning_in_tool)
         pack = last + 3 * has_pack(scene)
         self._by_angle_in_tool, self._pack = theta[end + 10 : last].reshape(-1, 3), theta[last:pack]
-        towards, _, _ = _shaped(theta, pack, scene)  # a hose that always pulls does so without the process too
+        towards, _, _, press = _shaped(theta, pack, scene)  # a hose that always pulls does so without the process too
         towards = towards if len(towards) else np.zeros(OF_PLACE)
         self._tension, self._tension_wrist, self._k_place = (float(v) for v in towards[:3])
         self._place = towards[3:]
         self._has_forearm = bool(self._by_forearm.any())
         self._has_wrist = bool(self._at_wrist.any() or self._k_wrist or self._tension_wrist)
-        self._has_pack = bool(self._pack.any())
+        self._press = press if press[:1].any() else np.zeros(0)
+        self._has_pack = bool(self._pack.any() or len(self._press))
         joints = [forearm(scene)] * (self._has_forearm or self._has_pack)
         joints += [wrist_centre(scene)] * self._has_wrist + [scene.n_joints - 1] * self._has_pack
         self.columns = tuple(f"joint_{k + 1}{side}" for k in joints for side in ("", "a", "b"))
@@ -314,9 +324,14 @@ class _Pull(Pull):
             out += np.cross(p_wrist - p_tcp, self._pull_of_wrist(p_wrist))
         return out
 
-    def between(self, tick: Tick, p_tcp: Array) -> tuple[Array, Array]:
+    def between(self, tick: Tick, p_tcp: Array, R_tool: Array) -> tuple[Array, Array]:
         force = tick.directions[:, :3] @ self._pack
-        return force, np.cross(_where(tick, tick.directions.shape[1] - 3) - p_tcp, force)
+        torque = np.cross(_where(tick, tick.directions.shape[1] - 3) - p_tcp, force)
+        if len(self._press):
+            tied = R_tool @ self._press[5:]
+            of_hose = pull_when_tight(self._press, _where(tick, 0) + tick.directions[:, :3] @ self._press[2:5] - p_tcp - tied)
+            force, torque = force + of_hose, torque + np.cross(tied, of_hose)
+        return force, torque
 
     def _pull_of_wrist(self, p_wrist: Array) -> Array:
         out: Array = self._at_wrist - self._k_wrist * p_wrist

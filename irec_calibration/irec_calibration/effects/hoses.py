@@ -20,7 +20,8 @@ OF_PLACE = 6  # parameters of it
 PLACES = (-0.5, 0.0, 0.5)  # of the reach in each direction, about a place half of it above base_link
 FARTHEST = 1.0  # likewise; from farther away a pull is as good as constant
 TAUT = "of a hose between forearm and flange"  # tied to both, slack where it is longer than the way
-OF_HOSE = 8  # parameters of it, the last ones
+OF_HOSE = 8  # parameters of it
+PRESSED = "of a hose between forearm and flange under load"  # of a medium that flows with the process: straight and stiff by it
 LENGTHS = (0.1, 0.4, 0.7)  # shares of poses in which such a hose is slack
 ASIDE = (-0.2, 0.0, 0.2)  # of the forearm, by which it is tied beside the elbow
 CELL = "of a hose from the cell that always pulls"  # at the references too, where the arm stands otherwise
@@ -122,14 +123,15 @@ def moored(scene: Scene, theta: Array) -> Array:
     return _tied_to_tool(R_tool, tied, force, pull)
 
 
-def taut(scene: Scene, theta: Array) -> Array:
+def taut(scene: Scene, theta: Array, *, pressed: bool = False) -> Array:
     """Wrench in tool0 on the flange of a hose that is tied to it and to the forearm, by each of its parameters, (n, 6, 8).
 
-    It pulls in each row by k (way - l) where its ends are farther apart than it is long, and hardly where it is slack. What the
-    process causes (`View.measured` is False) is what the pull has changed by since the reference.
+    It pulls by k (way - l) where its ends are farther apart than it is long, and hardly where it is slack: in each row, and what
+    the process causes (`View.measured` is False) is what the pull has changed by since the reference; or under load only.
 
     Args:
-        theta: (k_hose, l_hose, tied_along, tied_a, tied_b, tied_x, tied_y, tied_z), or empty: (n, 6, 0) then.
+        theta: stiffness, length, where it is tied in the frame of the forearm (3,) and in tool0 (3,), or empty: (n, 6, 0) then.
+        pressed: whether it pulls under load only.
     """
     if not len(theta):
         return np.zeros((len(scene), 6, 0))
@@ -143,9 +145,20 @@ def taut(scene: Scene, theta: Array) -> Array:
     by_slack = -k * along[:, :, None] * tight
     force = np.concatenate([(longer * along)[:, :, None], by_slack, by_way @ frame, -by_way @ R_tool], axis=2)
     pull = k * longer * along
-    if not scene.view.measured:
+    if pressed:
+        under_load = scene.rows.under_load[:, None]
+        force, pull = force * under_load[:, :, None], pull * under_load
+    elif not scene.view.measured:
         force, pull = scene.change(force), scene.change(pull)
     return _tied_to_tool(R_tool, R_tool @ in_tool0, force, pull)
+
+
+def pull_when_tight(theta: Array, way: Array) -> Array:
+    """Force on the flange of a hose of these values (8,) whose end on the forearm is `way` (3,), m, from that on the tool, (3,),
+    N."""
+    length = max(math.sqrt(float(way @ way)), NEAREST)
+    longer, _ = stretched(length - theta[1])
+    return np.asarray(theta[0] * longer / length * way)
 
 
 def _tied_to_tool(R_tool: Array, tied: Array, force: Array, pull: Array) -> Array:
@@ -162,7 +175,7 @@ def _tied_to_tool(R_tool: Array, tied: Array, force: Array, pull: Array) -> Arra
     return np.concatenate([back @ force, back @ moment], axis=1)
 
 
-def stretched(longer: Array) -> tuple[Array, Array]:
+def stretched(longer: Array | float) -> tuple[Array, Array]:
     """How far a hose is stretched whose ends are by so much farther apart than it is long, m, and the derivative: it sags, and
     comes tight over some travel."""
     root = np.sqrt(longer**2 + TIGHTENS**2)
@@ -221,24 +234,32 @@ def wrist_centre(scene: Scene) -> int:
     return wrist[len(wrist) // 2]
 
 
-def of_taut_hose(scene: Scene) -> tuple[Parameter, ...]:
-    """Stiffness of a hose that is tied to forearm and flange, its length, and where it is tied."""
+def of_taut_hose(scene: Scene, *, pressed: bool = False) -> tuple[Parameter, ...]:
+    """Stiffness of a hose that is tied to forearm and flange, its length, and where it is tied.
+
+    Args:
+        pressed: whether it pulls under load only. What flows in it draws it together whatever the way: its length without a
+            pull may be below zero.
+    """
+    group, of, tied = (PRESSED, "press", "press") if pressed else (TAUT, "hose", "tied")
     frame, origin = forearm_frame(scene)[0], scene.kin.origin[0]
     forearm_m = max(float(np.linalg.norm(origin[wrist_centre(scene)] - origin[forearm(scene)])), AT_FLANGE)
     at_tool0 = between_flange_and_tcp(scene)
     way = scene.kin.origin[:, forearm(scene)] - scene.p_tcp - scene.kin.R_tool @ at_tool0
-    lengths = np.quantile(np.linalg.norm(way, axis=1), LENGTHS)
+    slack = np.quantile(np.linalg.norm(way, axis=1), LENGTHS)
+    lengths = [0.0, slack[1]] if pressed else slack
     towards_wrist = int(np.argmax(np.abs(frame.T @ (origin[wrist_centre(scene)] - origin[forearm(scene)]))))
     grid = {d: (0.0,) if i == towards_wrist else tuple(forearm_m * s for s in ASIDE) for i, d in enumerate(FOREARM)}
+    longest = 3.0 * typical_reach(scene)
 
     def shape(name: str, scale: float, low: float, high: float, at: tuple[float, ...]) -> Parameter:
-        return Parameter(name, "m", scale, low, high, start=at[len(at) // 2], grid=at, group=TAUT, shapes=TAUT)
+        return Parameter(name, "m", scale, low, high, start=at[len(at) // 2], grid=at, group=group, shapes=group)
 
     return (
-        Parameter("k_hose", "N/m", 1000.0, 0.0, plausible=(0.0, 50000.0), group=TAUT),
-        shape("l_hose", AT_FLANGE, 0.0, 3.0 * typical_reach(scene), tuple(float(v) for v in lengths)),
-        *(shape(f"tied_{d}", 2.0 * ASIDE[2] * forearm_m, -forearm_m, forearm_m, grid[d]) for d in FOREARM),
-        *(shape(f"tied_{a}", AT_FLANGE, c - 0.5, c + 0.5, (c,)) for a, c in zip(AXES, at_tool0.tolist(), strict=True)),
+        Parameter(f"k_{of}", "N/m", 1000.0, 0.0, plausible=(0.0, 50000.0), group=group),
+        shape(f"l_{of}", AT_FLANGE, -longest if pressed else 0.0, longest, tuple(float(v) for v in lengths)),
+        *(shape(f"{tied}_{d}", 2.0 * ASIDE[2] * forearm_m, -forearm_m, forearm_m, grid[d]) for d in FOREARM),
+        *(shape(f"{tied}_{a}", AT_FLANGE, c - 0.5, c + 0.5, (c,)) for a, c in zip(AXES, at_tool0.tolist(), strict=True)),
     )
 
 

@@ -21,6 +21,9 @@ PRIOR_WIDTH = 2.0  # multiples of the scale: a soft zone of 5 % of the rated tor
 RANGES_DIFFER = 0.5  # log; chosen: curves of gears of several makes bend at 0.1 to 0.3 of their rated torque
 RANGES_OF_GUESSED = 1.0  # log; the same where the rated torque is a guess, which for an axis without weight is poor
 WIDER = 2.0  # log; of u_k to either side: a factor of seven
+# times the largest torque that a session shows, up to which a limit that is not stated may be: processes and weights load drives
+# to a quarter of it and more (chosen: play of outside simulators was soft over 0.09 of that torque, soft gears over 0.16)
+MAY_BE_RATED = 4.0
 GUESSED_TOO_LARGE = 10.0  # times what a drive is rated for that no weight loads, by the guess
 
 
@@ -131,7 +134,7 @@ class JointStiffening(Effect):
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         driven = np.flatnonzero(scene.driven)
         a, soft = _of_axes(scene, theta)[0], _x_0(scene, theta) * _ends_at(theta[-1])
-        wide = may_be_wide(scene, driven, a, soft, WIDEST).all()
+        wide = may_be_wide(scene, driven, a, soft, MAY_BE_RATED * WIDEST).all()
         stated = (a != 0.0) & rating_known(scene.robot)[driven]
         shares = (soft / rated_torque(scene.robot)[driven])[stated]
         return "" if wide and not any(at_border(s, WIDEST) for s in shares) else "joint_backlash"

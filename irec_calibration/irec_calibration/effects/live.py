@@ -135,7 +135,7 @@ class Pull(ABC):
         """Torque on the robot about the TCP, in base_link, (3,), N m."""
         return np.zeros(3)
 
-    def between(self, tick: Tick, p_tcp: Array) -> tuple[Array, Array]:
+    def between(self, tick: Tick, p_tcp: Array, R_tool: Array) -> tuple[Array, Array]:
         """For a pull between two links: force and torque about the TCP on the one beyond, in base_link, (3,) each, N and N m."""
         return np.zeros(3), np.zeros(3)
 
