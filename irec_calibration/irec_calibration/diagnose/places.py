@@ -4,9 +4,11 @@ evidence is best, from the best place of their grid."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import log
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +26,15 @@ WIDTH = 0.5  # of the spacing of the grid: prior of a place about the nearest on
 WORTH_A_STEP = 0.1  # nats
 
 
+class _Found(NamedTuple):
+    """A place, the evidence and the scaled values of the group there, and what not knowing the place better costs, nats."""
+
+    shape: dict[str, float]
+    evidence: float
+    x: Array
+    known: float = 0.0
+
+
 @dataclass(frozen=True)
 class Places:
     """A group with its columns at each place of a grid: of one effect on one study."""
@@ -36,18 +47,30 @@ class Places:
 
     def best(self, ground: Ground) -> tuple[dict[str, float], float]:
         """The place with the best evidence on a ground, moved from the best of the grid at which the effect may have its values,
-        and the log prior of the group there: how likely a place is, and what not knowing it better costs."""
+        and the log prior of the group there: how likely a place is, and what not knowing it better costs.
+
+        What the grid has one value of, such as where on the tool a hose is tied, is moved where that is worth what it costs.
+        """
         reduced = ground.reduced_tables(self.blocks)
         columns = range(self.blocks[0].A.shape[1])
         found = ground.posteriors(reduced, [(i, columns) for i in range(len(self.blocks))], FACTORS)
         likeliest = sorted(range(len(found)), key=lambda j: -found[j].log_evidence)
         i = next((j for j in likeliest if self._can_be(self.grid[j], found[j].x)), likeliest[0])
-        shape, evidence, x, known = dict(self.grid[i]), found[i].log_evidence, found[i].x, 0.0
+        start = _Found(dict(self.grid[i]), found[i].log_evidence, found[i].x)
+        several = [p for p in self._shaped if len(p.grid) > 1]
+        near = self._moved_to_best(ground, start, several) if several else start
+        there = near if len(several) == len(self._shaped) else self._moved_to_best(ground, near, self._shaped)
+        best = max(near, there, key=lambda f: f.evidence + min(f.known, 0.0))
+        return best.shape, min(best.known, 0.0) - log(len(self.grid))
+
+    def _moved_to_best(self, ground: Ground, found: _Found, shaped: Sequence[Parameter]) -> _Found:
+        """Some of the shape values moved to where the evidence is best, and what not knowing these costs there."""
+        shape, evidence, x, known = found.shape, found.evidence, found.x, 0.0
         for _ in range(STEPS):
-            block, by_place = self._about(shape, x)
+            block, by_place = self._about(shape, x, shaped)
             both = ground.posterior(block + by_place, FACTORS)
             known = both.log_evidence - evidence
-            better = self._moved(ground, shape, both.x[len(x) :], evidence)
+            better = self._moved(ground, shape, shaped, both.x[len(x) :], evidence)
             if better is None:
                 break
             shape, gained, x = better
@@ -55,16 +78,16 @@ class Places:
             known -= gained
             if gained < WORTH_A_STEP:
                 break
-        return shape, min(known, 0.0) - log(len(self.grid))
+        return _Found(shape, evidence, x, known)
 
     def _moved(
-        self, ground: Ground, shape: dict[str, float], step: Array, evidence: float
+        self, ground: Ground, shape: dict[str, float], shaped: Sequence[Parameter], step: Array, evidence: float
     ) -> tuple[dict[str, float], float, Array] | None:
         """The place after a step, what the evidence gains and the values there; None where no share of the step is better."""
         for share in 0.5 ** np.arange(HALVINGS):
-            there = {
+            there = shape | {
                 p.name: float(np.clip(shape[p.name] + share * s * _spacing(p), p.lower, p.upper))
-                for p, s in zip(self._shaped, step, strict=True)
+                for p, s in zip(shaped, step, strict=True)
             }
             found = ground.posterior(self._columns(there), FACTORS)
             if found.log_evidence > evidence:
@@ -84,13 +107,14 @@ class Places:
     def _columns(self, shape: dict[str, float]) -> Block:
         return _of_group(self.study, self.effect, self.group, shape)
 
-    def _about(self, shape: dict[str, float], x: Array) -> tuple[Block, Block]:
-        """Columns of the group at a place, and by how the place moves, at values x."""
+    def _about(self, shape: dict[str, float], x: Array, shaped: Sequence[Parameter]) -> tuple[Block, Block]:
+        """Columns of the group at a place, and by how some of its shape values move, at values x."""
         own = self.effect.parameters(self.study.ready)
         mine = [i for i, p in enumerate(own) if p.group == self.group and not p.grid]
         theta = np.array([shape.get(p.name, 0.0) for p in own])
         theta[mine] = x * [own[i].scale for i in mine]
-        moved = [i for i, p in enumerate(own) if p.shapes == self.group]
+        names = {p.name for p in shaped}
+        moved = [i for i, p in enumerate(own) if p.name in names]
         A = self.study.columns(self.study.regressor(self.effect, theta)[:, :, moved] * [_spacing(own[i]) for i in moved])
         n = len(moved)
         return self._columns(shape), Block(A, np.full(n, -1.0), np.full(n, 1.0), np.full(n, WIDTH))

@@ -3,42 +3,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from ..typing import Array
 from .base import Effect, Parameter
-from .hoses import (
-    AT_FLANGE,
-    AXES,
-    CELL,
-    FOREARM,
-    OF_CELL,
-    OF_HOSE,
-    OF_PLACE,
-    PLACE,
-    PRESSED,
-    TAUT,
-    drawn,
-    forearm,
-    has_pack,
-    moored,
-    of_moored_hose,
-    of_place,
-    of_taut_hose,
-    pull_when_tight,
-    stands_elsewhere,
-    taut,
-    to_place,
-    turning,
-    turning_in_tool,
-    wrenches,
-    wrist_centre,
-)
-from .live import LeftOut, LiveForm, Pull, Tick
-from .scales import typical_reach
+from .external_force_live import LivePull
+from .hose_parameters import SHAPED, parameters_of_pulls, values_of
+from .hoses import AT_FLANGE, AXES, CELL, PLACE, PRESSED, TAUT, moored, taut, to_place, wrenches
+from .live import LeftOut, LiveForm
 from .scene import Scene
 from .state import ElasticResponse, Load
 from .traits import Family
@@ -55,11 +29,11 @@ class ExternalForce(Effect):
         "Dress pack, hoses and cables pull at the tool with a force that the sensor does not see and that is not the same "
         "at the reference and under load: J C J^T f_0. Parts of the family: constant in base_link or in tool0; drawn towards a "
         "fixed point (a hose of stiffness k: f_0 = k (p - p_tcp), k p being the constant part); drawn towards a place h with one "
-        "tension t, as by a spring balancer, at the TCP or (t_wrist) at the wrist, or with one that grows with the way "
-        "(t + k_place |h - p_tcp|), as of a hose; the first two of these at the wrist, "
-        "where it is fixed to the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a "
-        "wrist axis, or with the first where it comes from the cell; along axes of tool0, turning with a wrist axis, where it is "
-        "fixed to a link of the wrist; between forearm and flange, where a dress pack that is fixed to both pulls them together "
+        "tension t, as by a spring balancer, at a point of the tool (to_x from the TCP) or (t_wrist) at the wrist, or with one "
+        "that grows with the way (t + k_place |h - p|), as of a hose; the first two of these at the wrist, where it is fixed to "
+        "the forearm and wrist gears carry none of it; constant in the frame of the forearm; turning with a wrist axis, or with "
+        "the first where it comes from the cell; along axes of tool0, turning with a wrist axis, where it is fixed to a link of "
+        "the wrist; between forearm and flange, where a dress pack that is fixed to both pulls them together "
         "and bends the wrist alone, with a constant force, as a hose that is slack up to its length and under pressure while the "
         "process runs, or always, as such a hose, or between the cell and a point of the tool, always and as a spring: then the "
         "joint angles of reference and load case make the difference; and a torque, since it does not pull at the TCP. "
@@ -74,41 +48,7 @@ class ExternalForce(Effect):
     usual_in = ("absolute",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        kept: dict[str, tuple[Parameter, ...]] = scene.view.kept  # the same whatever the load: asked by every scene of a fit
-        return kept.get("pull parameters") or kept.setdefault("pull parameters", self._parameters(scene))
-
-    def _parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        def pull(name: str, group: str) -> Parameter:
-            return Parameter(name, "N", 20.0, plausible=(-1000.0, 1000.0), group=group)
-
-        def stiffness(name: str, group: str) -> Parameter:
-            return Parameter(name, "N/m", 20.0 / typical_reach(scene), 0.0, plausible=(0.0, 2000.0), group=group)
-
-        largest = 1000.0 * AT_FLANGE
-        return (
-            *(pull(f"f_{a}", "constant") for a in AXES),
-            *(pull(f"f_{a}_tool", "with the tool") for a in AXES),
-            stiffness("k", "towards a point"),
-            *(pull(f"f_{a}_{t}{k + 1}", f"with axis {k + 1}") for k in turning(scene) for t in ("sin", "cos") for a in AXES),
-            *(pull(f"f_{d}_forearm", "with the forearm") for d in FOREARM),
-            *(
-                Parameter(f"m_{a}_tool", "N m", 20.0 * AT_FLANGE, plausible=(-largest, largest), group="beside the TCP")
-                for a in AXES
-            ),
-            *(pull(f"f_{a}_wrist", "at the wrist") for a in AXES),
-            stiffness("k_wrist", "at the wrist towards a point"),
-            *(
-                pull(f"f_{a}_tool_{t}{k + 1}", f"with the tool and axis {k + 1}")
-                for k in turning_in_tool(scene)
-                for t in ("sin", "cos")
-                for a in AXES
-            ),
-            *(pull(f"f_{d}_pack", "between forearm and flange") for d in FOREARM if has_pack(scene)),
-            *(of_place(scene) if scene.kind == "loaded" else ()),
-            *(of_moored_hose(scene) if _has_moored(scene) else ()),
-            *(of_taut_hose(scene) if has_pack(scene) and _has_moored(scene) else ()),
-            *(of_taut_hose(scene, pressed=True) if has_pack(scene) else ()),
-        )
+        return parameters_of_pulls(scene)
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         if scene.elastic is None:
@@ -120,7 +60,7 @@ class ExternalForce(Effect):
             return np.zeros((len(scene), 3, len(self.parameters(scene))))
         on_arm, pack = wrenches(scene)
         of_pack = np.zeros((len(scene), 3, pack.shape[2])) if scene.elastic.of_wrist is None else scene.elastic.of_wrist @ pack
-        place, cell, hose, press = _shaped(theta, on_arm.shape[2] + pack.shape[2], scene)
+        place, cell, hose, press = (values_of(scene, theta, group) for group in SHAPED)
         by_place = scene.elastic.compliance @ np.concatenate([to_place(scene, place), moored(scene, cell)], axis=2)
         by_hose = np.concatenate([taut(scene, hose), taut(scene, press, pressed=True)], axis=2)
         of_wrist = scene.elastic.of_wrist
@@ -173,7 +113,7 @@ class ExternalForce(Effect):
 
     def by_elastic(self, scene: Scene, theta: Array, change: ElasticResponse) -> Array:
         on_arm, pack = _by_values(scene, theta)
-        _, cell, hose, _ = _shaped(theta, 0, scene)
+        cell, hose = values_of(scene, theta, CELL), values_of(scene, theta, TAUT)
         if cell[:3].any():
             on_arm = on_arm + moored(scene, cell)[:, :, :3] @ cell[:3]
         if hose[:1].any():
@@ -191,7 +131,7 @@ class ExternalForce(Effect):
         forces = [v for p, v in zip(self.parameters(scene), theta, strict=True) if not p.grid and p.group not in (TAUT, CELL)]
         if not any(forces):
             return LeftOut("is a hose that pulls without the process too, and goes with the joint angles alone")
-        return _Pull(theta, scene)
+        return LivePull(theta, scene)
 
 
 def _about(value: float) -> str:
@@ -231,9 +171,9 @@ def _weights_of_other_masses(values: Mapping[str, tuple[float, float]], scene: S
 
 def _pushes(values: Mapping[str, tuple[float, float]], scene: Scene) -> str:
     """Why a pull towards a place is none: over the session its mean is a push; or an empty string."""
-    for tension, stiffness, more, place in (("t", "k_place", "", "h"), ("t_cell", "k_cell", "s_cell", "from")):
+    for tension, stiffness, more, place, to in (("t", "k_place", "", "h", "to"), ("t_cell", "k_cell", "s_cell", "from", "at")):
         t, k, s, *towards = (values.get(n, (0.0, 0.0))[0] for n in (tension, stiffness, more, *(f"{place}_{a}" for a in AXES)))
-        tied = np.array([values.get(f"at_{a}", (0.0, 0.0))[0] for a in AXES]) if tension == "t_cell" else np.zeros(len(AXES))
+        tied = np.array([values.get(f"{to}_{a}", (0.0, 0.0))[0] for a in AXES])
         if t >= 0.0:
             continue
         way = np.array(towards) - scene.p_tcp - scene.kin.R_tool @ tied
@@ -248,103 +188,11 @@ def _by_values(scene: Scene, theta: Array) -> tuple[Array, Array]:
     """Wrench in tool0 by values of all parameters but those of a hose that always pulls, (n, 6), on the arm, and between forearm
     and flange."""
     on_arm, pack = wrenches(scene)
-    of_arm, end = on_arm.shape[2], on_arm.shape[2] + pack.shape[2]
-    place, _, _, press = _shaped(theta, end, scene)
-    out, on_flange = on_arm @ theta[:of_arm], pack @ theta[of_arm:end]
+    of_arm = on_arm.shape[2]
+    out, on_flange = on_arm @ theta[:of_arm], pack @ theta[of_arm : of_arm + pack.shape[2]]
+    place, press = values_of(scene, theta, PLACE), values_of(scene, theta, PRESSED)
     if place[:3].any():
         out += to_place(scene, place)[:, :, :3] @ place[:3]
     if press[:1].any():
         on_flange += taut(scene, press, pressed=True)[:, :, 0] * press[0]
     return out, on_flange
-
-
-def _has_moored(scene: Scene) -> bool:
-    """`stands_elsewhere`, asked once of each session: fits ask thousands of times."""
-    kept: dict[str, bool] = scene.view.kept
-    if "moored" not in kept:
-        kept["moored"] = stands_elsewhere(scene)
-    return kept["moored"]
-
-
-def _shaped(theta: Array, first: int, scene: Scene) -> tuple[Array, Array, Array, Array]:
-    """Values of the pull towards a place, (6,), of a hose from the cell, (9,), of one between forearm and flange, (8,), and of
-    one that is under pressure with the process, (8,); or none of them, (0,).
-
-    Args:
-        first: where the first of these begin; 0 where only the others are asked for.
-    """
-    always = _has_moored(scene)
-    end = len(theta) - OF_HOSE * has_pack(scene)
-    hose = end - OF_HOSE * (has_pack(scene) and always)
-    cell = hose - OF_CELL * always
-    return theta[first:cell], theta[cell:hose], theta[hose:end], theta[end:]
-
-
-class _Pull(Pull):
-    def __init__(self, theta: Array, scene: Scene) -> None:
-        self._turning, self._turning_in_tool = turning(scene), turning_in_tool(scene)
-        self._constant, self._in_tool, self._k = theta[:3], theta[3:6], float(theta[6])
-        end = 7 + 6 * len(self._turning)
-        self._by_angle = theta[7:end].reshape(-1, 3)
-        self._by_forearm, self._torque_in_tool = theta[end : end + 3], theta[end + 3 : end + 6]
-        self._at_wrist, self._k_wrist = theta[end + 6 : end + 9], float(theta[end + 9])
-        last = end + 10 + 6 * len(self._turning_in_tool)
-        pack = last + 3 * has_pack(scene)
-        self._by_angle_in_tool, self._pack = theta[end + 10 : last].reshape(-1, 3), theta[last:pack]
-        towards, _, _, press = _shaped(theta, pack, scene)  # a hose that always pulls does so without the process too
-        towards = towards if len(towards) else np.zeros(OF_PLACE)
-        self._tension, self._tension_wrist, self._k_place = (float(v) for v in towards[:3])
-        self._place = towards[3:]
-        self._has_forearm = bool(self._by_forearm.any())
-        self._has_wrist = bool(self._at_wrist.any() or self._k_wrist or self._tension_wrist)
-        self._press = press if press[:1].any() else np.zeros(0)
-        self._has_pack = bool(self._pack.any() or len(self._press))
-        joints = [forearm(scene)] * (self._has_forearm or self._has_pack)
-        joints += [wrist_centre(scene)] * self._has_wrist + [scene.n_joints - 1] * self._has_pack
-        self.columns = tuple(f"joint_{k + 1}{side}" for k in joints for side in ("", "a", "b"))
-        self._wrist = 3 * (self._has_forearm or self._has_pack)  # where its columns begin
-        if self._has_pack:
-            self.beyond = tuple(f"joint_{k + 1}" for k in range(scene.wrist[0], scene.n_joints))
-
-    def force(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
-        in_tool = self._in_tool + _waves(tick.q, self._turning_in_tool) @ self._by_angle_in_tool
-        out: Array = self._constant + R_tool @ in_tool - self._k * p_tcp + _waves(tick.q, self._turning) @ self._by_angle
-        if self._tension or self._k_place:
-            out += drawn(self._tension, self._place, p_tcp, self._k_place)
-        if self._has_forearm:
-            out += tick.directions[:, :3] @ self._by_forearm
-        if self._has_wrist:
-            out += self._pull_of_wrist(_where(tick, self._wrist))
-        return out
-
-    def torque(self, tick: Tick, p_tcp: Array, R_tool: Array) -> Array:
-        out: Array = R_tool @ self._torque_in_tool
-        if self._has_wrist:
-            p_wrist = _where(tick, self._wrist)
-            out += np.cross(p_wrist - p_tcp, self._pull_of_wrist(p_wrist))
-        return out
-
-    def between(self, tick: Tick, p_tcp: Array, R_tool: Array) -> tuple[Array, Array]:
-        force = tick.directions[:, :3] @ self._pack
-        torque = np.cross(_where(tick, tick.directions.shape[1] - 3) - p_tcp, force)
-        if len(self._press):
-            tied = R_tool @ self._press[5:]
-            of_hose = pull_when_tight(self._press, _where(tick, 0) + tick.directions[:, :3] @ self._press[2:5] - p_tcp - tied)
-            force, torque = force + of_hose, torque + np.cross(tied, of_hose)
-        return force, torque
-
-    def _pull_of_wrist(self, p_wrist: Array) -> Array:
-        out: Array = self._at_wrist - self._k_wrist * p_wrist
-        return out + drawn(self._tension_wrist, self._place, p_wrist) if self._tension_wrist else out
-
-
-def _where(tick: Tick, first: int) -> Array:
-    """A point p from three columns a_i at right angles that turn about it: sum of a_i x (p x a_i) = 2 p."""
-    columns = slice(first, first + 3)
-    out: Array = 0.5 * np.cross(tick.directions[:, columns], tick.moments[:, columns], axis=0).sum(axis=1)
-    return out
-
-
-def _waves(q: Array, joints: list[int]) -> Array:
-    """Sine and cosine of the angle of each joint, (2 joints,)."""
-    return np.array([w for k in joints for w in (math.sin(q[k]), math.cos(q[k]))])

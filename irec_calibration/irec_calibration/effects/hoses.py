@@ -9,29 +9,15 @@ import math
 import numpy as np
 
 from ..typing import Array
-from .base import Parameter
-from .scales import typical_reach
 from .scene import Scene
 
 AXES = ("x", "y", "z")
 FOREARM = ("along", "a", "b")  # along the axis of the joint that moves the forearm, and along its two virtual axes
 PLACE = "with a tension towards a place"  # as a spring balancer pulls, a hose that is drawn in, or one that hangs
-OF_PLACE = 6  # parameters of it
-PLACES = (-0.5, 0.0, 0.5)  # of the reach in each direction, about a place half of it above base_link
-FARTHEST = 1.0  # likewise; from farther away a pull is as good as constant
+OF_PLACE = 9  # parameters of it
 TAUT = "of a hose between forearm and flange"  # tied to both, slack where it is longer than the way
-OF_HOSE = 8  # parameters of it
 PRESSED = "of a hose between forearm and flange under load"  # of a medium that flows with the process: straight and stiff by it
-LENGTHS = (0.1, 0.4, 0.7)  # shares of poses in which such a hose is slack
-ASIDE = (-0.2, 0.0, 0.2)  # of the forearm, by which it is tied beside the elbow
 CELL = "of a hose from the cell that always pulls"  # at the references too, where the arm stands otherwise
-OF_CELL = 9  # parameters of it
-OVERHEAD = (-0.5, 0.5)  # of the reach in each direction, about a place half of it above base_link
-TIED = (-0.2, 0.2)  # m, across tool0
-FARTHEST_TIED = 0.6  # m, along each axis
-# m and rad, RMS, by which the tool stands otherwise at the references where a hose that always pulls shows: chosen, beyond any
-# approach; what less would show of it is as small as what all else leaves
-ELSEWHERE_M, ELSEWHERE_RAD = 0.04, 0.1
 AT_FLANGE = 0.15  # m from the TCP; about where a head carries its hoses
 TIGHTENS = 0.02  # m, travel over which a hose that sags comes tight
 NEAREST = 0.05  # m; nearer to its place than that a pull has no direction
@@ -76,24 +62,35 @@ def _wrenches_anew(scene: Scene) -> tuple[Array, Array]:
 
 
 def to_place(scene: Scene, theta: Array) -> Array:
-    """Wrench in tool0 by each of (t, t_wrist, k_place, h_x, h_y, h_z) at these values, (n, 6, 6); (n, 6, 0) where there are
-    none."""
-    out = np.zeros((len(scene), 6, len(theta)))
+    """Wrench in tool0 by each of (t, t_wrist, k_place, h_x, h_y, h_z, to_x, to_y, to_z) at these values, (n, 6, 9); (n, 6, 0)
+    where there are none."""
     if not len(theta):
-        return out
-    in_tool = np.swapaxes(scene.kin.R_tool, 1, 2)
-    for i, point in enumerate((scene.p_tcp, scene.kin.origin[:, wrist_centre(scene)])):
-        way = theta[3:] - point
-        length = np.maximum(np.linalg.norm(way, axis=1), NEAREST)[:, None]
-        along, away = way / length, np.linalg.norm(way, axis=1) > NEAREST
-        turned = (np.eye(3) - along[:, :, None] * along[:, None, :] * away[:, None, None]) / length[:, :, None]
-        force = np.concatenate([along[:, :, None], theta[i] * turned], axis=2)  # by the tension, and by the place
-        moment = np.swapaxes(np.cross((point - scene.p_tcp)[:, None], np.swapaxes(force, 1, 2)), 1, 2)
-        wrench = np.concatenate([in_tool @ force, in_tool @ moment], axis=1)
-        out[:, :, [i, 3, 4, 5]] += wrench
-    out[:, :3, 2] = np.einsum("nij,nj->ni", in_tool, theta[3:] - scene.p_tcp)
-    out[:, :3, 3:] += theta[2] * in_tool
+        return np.zeros((len(scene), 6, 0))
+    (t, t_wrist, k), place, R_tool = theta[:3], theta[3:6], scene.kin.R_tool
+    tied = R_tool @ theta[6:]
+    way = place - scene.p_tcp - tied
+    along, by_way = _directed(way)
+    by_way = t * by_way + k * np.eye(3)
+    force = np.concatenate([along[:, :, None], way[:, :, None], by_way, -by_way @ R_tool], axis=2)
+    at_tool = _tied_to_tool(R_tool, tied, force, t * along + k * way)
+    p_wrist = scene.kin.origin[:, wrist_centre(scene)]
+    along, by_way = _directed(place - p_wrist)
+    force = np.concatenate([along[:, :, None], t_wrist * by_way], axis=2)
+    moment = np.swapaxes(np.cross((p_wrist - scene.p_tcp)[:, None], np.swapaxes(force, 1, 2)), 1, 2)
+    out = np.zeros((len(scene), 6, OF_PLACE))
+    out[:, :, [0, *range(2, OF_PLACE)]] = at_tool
+    back = np.swapaxes(R_tool, 1, 2)
+    out[:, :, [1, 3, 4, 5]] += np.concatenate([back @ force, back @ moment], axis=1)
     return out * scene.rows.under_load[:, None, None]
+
+
+def _directed(way: Array) -> tuple[Array, Array]:
+    """Direction of each way (n, 3), m, and its derivative by the way, (n, 3, 3), 1/m; none within `NEAREST`."""
+    length = np.linalg.norm(way, axis=1)
+    at_least = np.maximum(length, NEAREST)[:, None]
+    along = way / at_least
+    onto = along[:, :, None] * along[:, None, :] * (length > NEAREST)[:, None, None]
+    return along, (np.eye(3) - onto) / at_least[:, :, None]
 
 
 def moored(scene: Scene, theta: Array) -> Array:
@@ -118,9 +115,7 @@ def moored(scene: Scene, theta: Array) -> Array:
     by_values = [v[:, :, None] for v in (along, way, square * way)]
     force = np.concatenate([*by_values, by_way, -by_way @ R_tool], axis=2)
     pull = t * along + (k + s * square) * way
-    if not scene.view.measured:
-        force, pull = scene.change(force), scene.change(pull)
-    return _tied_to_tool(R_tool, tied, force, pull)
+    return _tied_to_tool(R_tool, tied, *_caused(scene, force, pull, pressed=False))
 
 
 def taut(scene: Scene, theta: Array, *, pressed: bool = False) -> Array:
@@ -145,12 +140,7 @@ def taut(scene: Scene, theta: Array, *, pressed: bool = False) -> Array:
     by_slack = -k * along[:, :, None] * tight
     force = np.concatenate([(longer * along)[:, :, None], by_slack, by_way @ frame, -by_way @ R_tool], axis=2)
     pull = k * longer * along
-    if pressed:
-        under_load = scene.rows.under_load[:, None]
-        force, pull = force * under_load[:, :, None], pull * under_load
-    elif not scene.view.measured:
-        force, pull = scene.change(force), scene.change(pull)
-    return _tied_to_tool(R_tool, R_tool @ in_tool0, force, pull)
+    return _tied_to_tool(R_tool, R_tool @ in_tool0, *_caused(scene, force, pull, pressed))
 
 
 def pull_when_tight(theta: Array, way: Array) -> Array:
@@ -159,6 +149,14 @@ def pull_when_tight(theta: Array, way: Array) -> Array:
     length = max(math.sqrt(float(way @ way)), NEAREST)
     longer, _ = stretched(length - theta[1])
     return np.asarray(theta[0] * longer / length * way)
+
+
+def _caused(scene: Scene, force: Array, pull: Array, pressed: bool) -> tuple[Array, Array]:
+    """What of a pull is there in each row: all of it under load, or always, of which the process causes the change."""
+    if pressed:
+        under_load = scene.rows.under_load[:, None]
+        return force * under_load[:, :, None], pull * under_load
+    return (force, pull) if scene.view.measured else (scene.change(force), scene.change(pull))
 
 
 def _tied_to_tool(R_tool: Array, tied: Array, force: Array, pull: Array) -> Array:
@@ -206,17 +204,6 @@ def has_pack(scene: Scene) -> bool:
     return scene.kind == "loaded" and scene.wrist[0] > 0
 
 
-def stands_elsewhere(scene: Scene) -> bool:
-    """Whether the tool stands so much otherwise at the references that a hose from the cell shows which always pulls."""
-    if scene.kind != "loaded" or not scene.rows.under_load.any():
-        return False
-    moved = np.linalg.norm(scene.change(scene.p_tcp), axis=1)[scene.rows.under_load > 0]
-    R_tool = scene.kin.R_tool
-    cosine = 0.5 * (np.einsum("nij,nij->n", R_tool, R_tool[scene.reference]) - 1.0)
-    turned = np.arccos(np.clip(cosine, -1.0, 1.0))[scene.rows.under_load > 0]
-    return bool(np.sqrt(np.mean(moved**2)) > ELSEWHERE_M or np.sqrt(np.mean(turned**2)) > ELSEWHERE_RAD)
-
-
 def forearm(scene: Scene) -> int:
     """The joint that moves the forearm, the last one before the wrist."""
     return max(scene.wrist[0] - 1, 0)
@@ -232,83 +219,3 @@ def wrist_centre(scene: Scene) -> int:
     """The joint whose origin is where the axes of a wrist meet."""
     wrist = scene.wrist
     return wrist[len(wrist) // 2]
-
-
-def of_taut_hose(scene: Scene, *, pressed: bool = False) -> tuple[Parameter, ...]:
-    """Stiffness of a hose that is tied to forearm and flange, its length, and where it is tied.
-
-    Args:
-        pressed: whether it pulls under load only. What flows in it draws it together whatever the way: its length without a
-            pull may be below zero.
-    """
-    group, of, tied = (PRESSED, "press", "press") if pressed else (TAUT, "hose", "tied")
-    frame, origin = forearm_frame(scene)[0], scene.kin.origin[0]
-    forearm_m = max(float(np.linalg.norm(origin[wrist_centre(scene)] - origin[forearm(scene)])), AT_FLANGE)
-    at_tool0 = between_flange_and_tcp(scene)
-    way = scene.kin.origin[:, forearm(scene)] - scene.p_tcp - scene.kin.R_tool @ at_tool0
-    slack = np.quantile(np.linalg.norm(way, axis=1), LENGTHS)
-    lengths = [0.0, slack[1]] if pressed else slack
-    towards_wrist = int(np.argmax(np.abs(frame.T @ (origin[wrist_centre(scene)] - origin[forearm(scene)]))))
-    grid = {d: (0.0,) if i == towards_wrist else tuple(forearm_m * s for s in ASIDE) for i, d in enumerate(FOREARM)}
-    longest = 3.0 * typical_reach(scene)
-
-    def shape(name: str, scale: float, low: float, high: float, at: tuple[float, ...]) -> Parameter:
-        return Parameter(name, "m", scale, low, high, start=at[len(at) // 2], grid=at, group=group, shapes=group)
-
-    return (
-        Parameter(f"k_{of}", "N/m", 1000.0, 0.0, plausible=(0.0, 50000.0), group=group),
-        shape(f"l_{of}", AT_FLANGE, -longest if pressed else 0.0, longest, tuple(float(v) for v in lengths)),
-        *(shape(f"{tied}_{d}", 2.0 * ASIDE[2] * forearm_m, -forearm_m, forearm_m, grid[d]) for d in FOREARM),
-        *(shape(f"{tied}_{a}", AT_FLANGE, c - 0.5, c + 0.5, (c,)) for a, c in zip(AXES, at_tool0.tolist(), strict=True)),
-    )
-
-
-def between_flange_and_tcp(scene: Scene) -> Array:
-    """The place half way from the TCP to the last joint, in tool0, (3,), m: about there a head carries its hoses."""
-    return np.asarray(np.round(0.5 * scene.kin.R_tool[0].T @ (scene.kin.origin[0, -1] - scene.p_tcp[0]), 3) + 0.0)
-
-
-def of_moored_hose(scene: Scene) -> tuple[Parameter, ...]:
-    """Tension and stiffness of a hose that is tied to the cell and to the tool, how it stiffens, and where it is tied."""
-    reach, above = typical_reach(scene), overhead(scene)
-    about = [float(v) for v in between_flange_and_tcp(scene)]
-    tied = [tuple(c + s for s in TIED) for c in about[:2]] + [(about[2],)]  # across and along tool0
-    return (
-        Parameter("t_cell", "N", 20.0, plausible=(-1000.0, 1000.0), group=CELL),
-        Parameter("k_cell", "N/m", 20.0 / reach, 0.0, plausible=(0.0, 2000.0), group=CELL),
-        Parameter("s_cell", "N/m^3", 20.0 / reach**3, 0.0, plausible=(0.0, 2000.0), group=CELL),
-        *(
-            Parameter(
-                f"from_{a}", "m", reach, float(c) - FARTHEST * reach, float(c) + FARTHEST * reach, start=float(c),
-                grid=tuple(float(c) + reach * p for p in OVERHEAD), group=CELL, shapes=CELL,
-            )
-            for a, c in zip(AXES, above, strict=True)
-        ),
-        *(
-            Parameter(f"at_{a}", "m", TIED[1], c - FARTHEST_TIED, c + FARTHEST_TIED, start=c, grid=at, group=CELL, shapes=CELL)
-            for a, c, at in zip(AXES, about, tied, strict=True)
-        ),
-    )  # fmt: skip
-
-
-def overhead(scene: Scene) -> Array:
-    """A place above base_link, against gravity, by half of the arm's reach, (3,), m."""
-    reach, weight = typical_reach(scene), float(np.linalg.norm(scene.gravity_in_base))
-    return -0.5 * reach * scene.gravity_in_base / weight if weight else np.array([0.0, 0.0, 0.5 * reach])
-
-
-def of_place(scene: Scene) -> tuple[Parameter, ...]:
-    """Tensions at the TCP and at the wrist, by how much more the first is for each metre of the way, and the place that they go
-    towards. A hose that gets taut has less than none of the first, as far as it is shorter than it is long."""
-    reach, above = typical_reach(scene), overhead(scene)
-    return (
-        *(Parameter(n, "N", 20.0, low, plausible=(low, 1000.0), group=PLACE) for n, low in (("t", -1000.0), ("t_wrist", 0.0))),
-        Parameter("k_place", "N/m", 20.0 / reach, 0.0, plausible=(0.0, 2000.0), group=PLACE),
-        *(
-            Parameter(
-                f"h_{a}", "m", reach, float(c) - FARTHEST * reach, float(c) + FARTHEST * reach, start=float(c),
-                grid=tuple(float(c) + reach * p for p in PLACES), group=PLACE, shapes=PLACE,
-            )
-            for a, c in zip(AXES, above, strict=True)
-        ),
-    )  # fmt: skip

@@ -11,7 +11,7 @@ from irec_calibration.diagnose.candidates import options
 from irec_calibration.diagnose.ground import Ground
 from irec_calibration.diagnose.study import Study, prepare, study_of
 from irec_calibration.effects import find_effect
-from irec_calibration.effects.hoses import OF_HOSE, PLACE, PRESSED, taut
+from irec_calibration.effects.hoses import PLACE, PRESSED, taut
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from irec_calibration.model import Estimate, Term, total_displacement
@@ -61,7 +61,7 @@ def test_what_it_does_by_each_of_its_values_is_the_derivative_of_its_pull() -> N
         return np.asarray(taut(scene, theta, pressed=True)[:, :, 0] * theta[0])
 
     by_value = taut(scene, VALUES, pressed=True)
-    for i, step in enumerate(1e-6 * np.eye(OF_HOSE)):
+    for i, step in enumerate(1e-6 * np.eye(len(VALUES))):
         expected = (wrench(VALUES + step) - wrench(VALUES - step)) / 2e-6
         np.testing.assert_allclose(by_value[:, :, i], expected, atol=1e-4 * max(np.abs(expected).max(), 1e-3))
 

@@ -20,7 +20,7 @@ from irec_calibration.diagnose.places import Places, places_of
 from irec_calibration.diagnose.priors import FACTORS
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.effects import find_effect
-from irec_calibration.effects.hoses import PLACE
+from irec_calibration.effects.hoses import PLACE, to_place
 from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
 from irec_calibration.model import Estimate, Term, total_displacement
@@ -28,18 +28,20 @@ from irec_calibration.report.ladder import write_ladder_report
 from irec_calibration.typing import Array
 
 TENSION, HOOK = 120.0, np.array([0.9, -0.4, 2.6])  # N; m in base_link
+AT_TCP, ASIDE = np.zeros(3), np.array([0.35, -0.2, -0.3])  # m in tool0
 
 
-def pulled(scene: Scene, tension: float = TENSION, stiffness: float = 0.0) -> Array:
-    """What the springs of the synthetic robot make of the tension at the TCP, (n, 3), m."""
-    way = HOOK - scene.p_tcp
+def pulled(scene: Scene, tension: float = TENSION, stiffness: float = 0.0, tied: Array = AT_TCP) -> Array:
+    """What the springs of the synthetic robot make of the tension on the tool, (n, 3), m."""
+    at = scene.p_tcp + scene.kin.R_tool @ tied
+    way = HOOK - at
     force = (tension / np.linalg.norm(way, axis=1, keepdims=True) + stiffness) * way * (scene.load_case > 0)[:, None]
-    tau = np.einsum("nik,ni->nk", scene.kin.jacobian(scene.p_tcp), force)
+    tau = np.einsum("nik,ni->nk", scene.kin.jacobian(at), force)
     return np.asarray(np.einsum("nik,nk->ni", scene.J, tau * synthetic.COMPLIANCE))
 
 
-def study() -> Study:
-    session = synthetic.session(poses=20, seed=3, extra=pulled)
+def study(tension: float = TENSION, tied: Array = AT_TCP) -> Study:
+    session = synthetic.session(poses=20, seed=3, extra=lambda scene: pulled(scene, tension, tied=tied))
     return prepare(session, [Term(find_effect(e)) for e in ("joint_torsion", "link_bending")])
 
 
@@ -52,14 +54,39 @@ def ladder() -> Ladder:
     return improve(synthetic.session(poses=24, seed=3, extra=pulled))
 
 
+@pytest.mark.parametrize("tied", [AT_TCP, ASIDE])
 @pytest.mark.parametrize(("tension", "stiffness"), [(TENSION, 0.0), (-150.0, 110.0), (0.0, 40.0)])
-def test_the_form_is_a_tension_along_the_way_to_the_place_that_may_grow_with_the_way(tension: float, stiffness: float) -> None:
+def test_the_form_is_a_tension_along_the_way_to_the_place_that_may_grow_with_the_way(
+    tension: float, stiffness: float, tied: Array
+) -> None:
     scene = scene_of(synthetic.session(poses=6))
     springs = Term(find_effect("joint_torsion"), {f"c_{k + 1}": Estimate(c) for k, c in enumerate(synthetic.COMPLIANCE)})
     values = {"t": tension, "k_place": stiffness} | {f"h_{a}": h for a, h in zip("xyz", HOOK, strict=True)}
+    values |= {f"to_{a}": v for a, v in zip("xyz", tied, strict=True)}
     hose = Term(find_effect("external_force"), {n: Estimate(float(v)) for n, v in values.items()})
     moved = total_displacement([springs, hose], scene) - total_displacement([springs], scene)
-    np.testing.assert_allclose(moved, pulled(scene, tension, stiffness), atol=1e-12)
+    np.testing.assert_allclose(moved, pulled(scene, tension, stiffness, tied), atol=1e-12)
+
+
+def test_what_it_does_by_where_it_is_tied_and_by_the_place_is_the_derivative_of_its_pull() -> None:
+    scene, values = scene_of(synthetic.session(poses=6)), np.array([60.0, 20.0, 30.0, *HOOK, *ASIDE])
+
+    def wrench(theta: Array) -> Array:
+        return np.asarray(to_place(scene, theta)[:, :, :3] @ theta[:3])
+
+    by_value = to_place(scene, values)
+    for i, step in enumerate(1e-6 * np.eye(len(values))):
+        expected = (wrench(values + step) - wrench(values - step)) / 2e-6
+        np.testing.assert_allclose(by_value[:, :, i], expected, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("tension", "tied", "found_m"), [(TENSION, AT_TCP, 0.0), (4.0 * TENSION, ASIDE, 0.15)])
+def test_where_on_the_tool_a_hose_is_tied_is_told_where_that_explains_more_than_it_costs(
+    tension: float, tied: Array, found_m: float
+) -> None:
+    at = study(tension, tied)
+    place, _ = of_hose(at).best(Ground(at.bench, at.base))
+    assert np.linalg.norm([place[f"to_{a}"] for a in "xyz"] - tied) <= found_m, place
 
 
 def test_a_pull_towards_a_place_that_pushes_on_the_whole_is_impossible() -> None:
@@ -72,7 +99,8 @@ def test_a_pull_towards_a_place_that_pushes_on_the_whole_is_impossible() -> None
 def test_a_place_from_which_a_hose_would_push_is_no_start() -> None:
     at = study()
     opposite = 2.0 * at.ready.p_tcp.mean(axis=0) - HOOK  # a push from there is much like the pull towards the hook
-    places = [{f"h_{a}": float(v) for a, v in zip("xyz", p, strict=True)} for p in (opposite, HOOK + [0.0, 1.1, 0.0])]
+    at_tcp = {f"to_{a}": 0.0 for a in "xyz"}
+    places = [{f"h_{a}": float(v) for a, v in zip("xyz", p, strict=True)} | at_tcp for p in (opposite, HOOK + [0.0, 1.1, 0.0])]
     hose, ground = of_hose(at), Ground(at.bench, at.base)
     blocks = tuple(hose._columns(place) for place in places)
     pushes, pulls = (ground.posterior(block, FACTORS) for block in blocks)
@@ -123,7 +151,7 @@ def test_who_improves_a_model_is_told_where_to_look_too(tmp_path: Path) -> None:
 def test_the_improved_model_has_the_tension_and_the_place_and_nothing_else_of_a_hose() -> None:
     term = next(t for t in ladder().model.terms if t.effect.id == "external_force")
     value = {n: e.value for n, e in term.estimates.items()}
-    assert set(value) == {"t", "t_wrist", "k_place", "h_x", "h_y", "h_z"}
+    assert set(value) == {"t", "t_wrist", "k_place", "h_x", "h_y", "h_z", "to_x", "to_y", "to_z"}
     scene = scene_of(synthetic.session(poses=24, seed=3))
     way = float(np.linalg.norm([value[f"h_{a}"] for a in "xyz"] - scene.p_tcp, axis=1).mean())
     assert value["t"] + value["t_wrist"] + value["k_place"] * way == pytest.approx(TENSION, rel=0.2)
