@@ -28,7 +28,7 @@ from .ground import Ground
 from .held_out import held_out, only_good_poses
 from .level import Repeats, inferred, repeats_of
 from .naming import one_cause_of_bad_rows
-from .one_curve import mends_the_other, of_one_curve
+from .one_curve import mends_the_other, of_one_curve, of_one_step
 from .part_sets import Parts
 from .parts import prune
 from .remainder import Part, Remainder, grow
@@ -173,11 +173,12 @@ def assess(
         names = [i for i in as_usual if cause_though_usual(final, i, noise.inferred_m)]
         as_usual = [i for i in as_usual if i not in names]
     names.sort(key=lambda i: -built.evidence.get(i, 0.0))
-    curve = of_one_curve(names, pruned.parts, final.ids) if study.ready.kind == "loaded" else ()
+    is_loaded = study.ready.kind == "loaded"
+    curve = of_one_curve(names, pruned.parts, final.ids) if is_loaded else of_one_step(names, pruned.parts)
     mends = mends_the_other(curve, {i: ends_at(lean, i) for i in curve if i in lean.ids})
     if mends:
         names.remove(mends)
-    elif curve:
+    elif curve and is_loaded:
         names = [i for i in names if i not in curve]
         one_of.append(curve)
     if names or weight:

@@ -38,6 +38,17 @@ def of_one_curve(names: Sequence[str], parts: Mapping[str, Parts], added: Collec
     return ()
 
 
+def of_one_step(names: Sequence[str], parts: Mapping[str, Parts]) -> tuple[str, ...]:
+    """Of the names of an absolute session two that turn the same axes by the step just made; empty where there are none."""
+    by_step = [i for i in names if {"step", "order"} & {*find_effect(i).needs}]
+    for at, one in enumerate(by_step):
+        for other in by_step[at + 1 :]:
+            mine, theirs = (set(parts.get(i, Parts()).proven) for i in (one, other))
+            if mine and theirs and (mine <= theirs or theirs <= mine):
+                return one, other
+    return ()
+
+
 def _is_law(effect_id: str) -> bool:
     effect = find_effect(effect_id)
     return effect.family is Alike.TORQUE_LAW and not effect.by_angle

@@ -11,7 +11,7 @@ from ..robot.ratings import rated_torque
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
 from .live import ColumnLaw, LeftOut, LiveForm, Tick, drives
-from .scales import LAG, STIFFER_THAN, largest_lag, typical_compliance
+from .scales import LAG, STIFFER_THAN, at_border, largest_lag, typical_compliance
 from .scene import Scene
 from .traits import Family
 from .travel import added_in_turn, clipped_in_turn, travel_to_reference
@@ -100,6 +100,10 @@ class JointHysteresis(Effect):
             return ""
         most = f"{1e3 * LAG:.2g} mrad at most, as gears and servos do"
         return f"friction would hold axis {k + 1} back by {1e3 * held[k]:.2g} mrad; it may by {most}"
+
+    def ends_at(self, values: Mapping[str, float], scene: Scene) -> str:
+        # what turns over more travel than friction does goes with the length of the step
+        return "joint_settling" if scene.kind == "absolute" and at_border(values["over"], 2.0 * TURNS_OVER[-1]) else ""
 
     def displacement(self, scene: Scene, theta: Array) -> Array:
         if scene.kind == "absolute":

@@ -22,8 +22,8 @@ RANGES_DIFFER = 0.5  # log; chosen: curves of gears of several makes bend at 0.1
 RANGES_OF_GUESSED = 1.0  # log; the same where the rated torque is a guess, which for an axis without weight is poor
 WIDER = 2.0  # log; of u_k to either side: a factor of seven
 # times the largest torque that a session shows, up to which a limit that is not stated may be: processes and weights load drives
-# to a quarter of it and more (chosen: play of outside simulators was soft over 0.09 of that torque, soft gears over 0.16)
-MAY_BE_RATED = 4.0
+# to a third of it and more (chosen: play of outside simulators was soft over up to 0.082 of that torque, soft gears from 0.11 on)
+MAY_BE_RATED = 3.0
 GUESSED_TOO_LARGE = 10.0  # times what a drive is rated for that no weight loads, by the guess
 
 

@@ -3,11 +3,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
-from irec_calibration.diagnose.one_curve import mends_the_other, of_one_curve
+import synthetic
+from irec_calibration.diagnose.one_curve import mends_the_other, of_one_curve, of_one_step
 from irec_calibration.diagnose.part_sets import Parts
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
 
 PLAY, STIFFENS, FRICTION = "joint_backlash", "joint_stiffening", "joint_hysteresis"
+SETTLES = "joint_settling"
 
 
 @pytest.mark.parametrize(
@@ -36,3 +42,25 @@ def test_a_balancer_is_no_law_of_the_torque_alone() -> None:
 )
 def test_of_two_laws_of_one_curve_that_which_came_to_where_the_other_begins_mends_it(bounds: dict[str, str], mends: str) -> None:
     assert mends_the_other((PLAY, STIFFENS, FRICTION), bounds) == mends
+
+
+@pytest.mark.parametrize(
+    ("friction", "settles", "found"),
+    [
+        (("axis 1",), ("axis 1",), (SETTLES, FRICTION)),
+        (("axis 1",), ("axis 1", "axis 2"), (SETTLES, FRICTION)),
+        (("axis 1",), ("axis 2",), ()),
+        ((), ("axis 2",), ()),
+    ],
+)
+def test_two_effects_that_turn_the_same_axes_by_the_step_are_one_curve_of_it(friction, settles, found) -> None:
+    parts = {FRICTION: Parts(proven=friction), SETTLES: Parts(proven=settles), PLAY: Parts(proven=friction)}
+    assert of_one_step((PLAY, SETTLES, FRICTION), parts) == found
+
+
+@pytest.mark.parametrize(("over", "ends"), [(0.16, SETTLES), (0.08, "")])
+def test_friction_that_turns_over_as_much_travel_as_it_may_is_where_settling_begins(over: float, ends: str) -> None:
+    absolute = scene_of(replace(synthetic.session(poses=6), kind="absolute"))
+    friction = find_effect(FRICTION)
+    assert friction.ends_at({"lag_1": 1e-4, "over": over}, absolute) == ends
+    assert friction.ends_at({"h_1": 1e-6}, scene_of(synthetic.session(poses=6))) == ""
