@@ -109,10 +109,11 @@ def at_bounds(monkeypatch: pytest.MonkeyPatch, **bounds: str) -> Any:
     [
         ({SOFT: PLAY}, 2.5, True),
         ({SOFT: PLAY}, 1.0, False),
-        ({SOFT: PLAY, PLAY: SOFT}, 9.0, False),
+        ({SOFT: PLAY, PLAY: SOFT}, 4.0, False),
+        ({SOFT: PLAY, PLAY: SOFT}, 9.0, True),
         ({}, 9.0, False),
     ],
-    ids=["preferred", "no likelier", "both at the bound", "inside"],
+    ids=["preferred", "no likelier", "both near the bound", "both, preferred by more", "inside"],
 )
 def test_a_soft_gear_that_came_to_the_range_of_play_is_no_rival_of_play_that_is_preferred(
     monkeypatch: pytest.MonkeyPatch, bounds: dict[str, str], odds: float, is_play: bool
