@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 import synthetic
 from irec_calibration.diagnose import diagnose, improve
+from irec_calibration.diagnose.candidates import try_effect
+from irec_calibration.diagnose.shape import _refined
+from irec_calibration.diagnose.study import prepare
 from irec_calibration.effects import find_effect
 from irec_calibration.effects.hoses import CELL, TAUT, TIGHTENS, moored, stretched
 from irec_calibration.effects.live import LeftOut, Pull
@@ -242,3 +245,13 @@ def test_a_hose_from_the_cell_is_not_asked_for_where_the_tool_stands_at_the_refe
     effect = find_effect("external_force")
     asked = [{p.group for p in effect.parameters(scene_of(s))} for s in (synthetic.session(6, **TILTED), synthetic.session(6))]
     assert [CELL in groups for groups in asked] == [True, False]
+
+
+def test_a_hose_that_is_as_short_as_it_may_be_is_no_place_to_look_from_on_a_scale_of_lengths() -> None:
+    """A length of 0 has no logarithm: a session of an outside simulator ended with an error."""
+    study = prepare(synthetic.session(poses=12, seed=3, **TILTED), springs())
+    trial = try_effect(study, find_effect("external_force"))
+    assert trial is not None
+    start = {p.name: p.start for p in trial.effect.parameters(study.ready) if p.shapes == TAUT}
+    short = replace(trial, best=replace(trial.best, shape=start | {"l_hose": 0.0}))
+    assert _refined(study, short)["l_hose"] == 0.0
