@@ -25,7 +25,6 @@ from .settings import SETTINGS
 from .study import Study
 from .tool_weight import odds_at_references
 
-TURNS_ALL = 0.9  # of the squares of a geometry error, from which on the first axis is all of it
 WIDEST = float(FACTORS.max())  # of the prior of a value, in multiples of its width
 
 
@@ -68,11 +67,11 @@ def readings_of(study: Study, effect: Effect) -> Readings | None:
             continue
         if other.effect.in_readings or _in_course(other.effect):
             values = values - displacement_of(other, scene)[rows]
-        if other.effect.in_readings and other.effect.chosen_by_poses:
+        if _in_course(other.effect):
+            left_open.append(_within_errors(other, study)[rows])
+        elif other.effect.in_readings and other.effect.chosen_by_poses:
             left_open.append(_any_of_this_order(study, other.effect, other.theta(other.effect.parameters(study.ready)), rows))
             prove = False
-        elif other.effect.in_readings or _in_course(other.effect):
-            left_open.append(_within_errors(other, study)[rows])
     ground = [_placed(scene.station[rows]), usually_beyond(study, rows), *left_open]
     return Readings(rows, values, np.concatenate(ground, axis=2), prove)
 
@@ -141,25 +140,16 @@ def against(study: Study, term: Term) -> str:
     They are against it by what a name needs over another (`nats_to_prefer`); against a tool weight by any odds, since in
     differences it shows by what it changes in the springs only, which others do too. Of an effect of whose values differences
     know some combinations only, other causes that are still missing bend what they show: these readings are against it where
-    they are so plainly (`nats_plainly`); not where the first axis alone stands otherwise, which differences show as they show a
-    turned station.
+    they are so plainly (`nats_plainly`).
     """
     if term.effect.evidence is Evidence.REFERENCE_READINGS:
         odds, least = _weighed(study, term), 0.0
     else:
-        vague = term.effect.chosen_by_poses and not _turns_all(term, study)
+        vague = term.effect.chosen_by_poses
         odds, least = carried(study, term), -(SETTINGS.nats_plainly if vague else SETTINGS.nats_to_prefer)
     if odds >= least:
         return ""
     return f"the readings at the references do not have it (log odds {odds:.1f}, at least {least:g} needed)"
-
-
-def _turns_all(term: Term, study: Study) -> bool:
-    """Whether a geometry error is of the first axis but for a tenth of its squares: all that comes after it is turned alike."""
-    own = [p for p in term.effect.parameters(study.ready) if p.name in term.estimates]
-    size = np.array([(term.estimates[p.name].value / p.scale) ** 2 for p in own])
-    first = np.array([p.axis == 0 for p in own])
-    return bool(size[first].sum() > TURNS_ALL * size.sum())
 
 
 def proved(study: Study, effect: Effect) -> bool:

@@ -137,34 +137,3 @@ def test_a_name_that_readings_contradict_does_not_stand_at_the_end(monkeypatch: 
     assert proven(start, (start, one), family, SETTINGS)[0].ids == ("tracker_scale",)
     monkeypatch.setattr("irec_calibration.diagnose.explanation.against", lambda study, term: "not read")
     assert proven(start, (start, one), family, SETTINGS)[0].ids == ()
-
-
-def first_axis_turned(**others: float) -> Term:
-    values = {"zero_1": 0.012, "tilt_1a": 0.004} | others
-    return Term(find_effect("geometry_error"), {n: Estimate(v, 1e-4) for n, v in values.items()})
-
-
-@pytest.mark.parametrize(
-    ("odds", "others", "refused"), [(-10.0, {}, True), (-10.0, {"zero_3": 0.02}, False), (-30.0, {"zero_3": 0.02}, True)]
-)
-def test_a_geometry_error_of_the_first_axis_alone_is_refused_as_a_turned_station_is(
-    monkeypatch: pytest.MonkeyPatch, odds: float, others: dict[str, float], refused: bool
-) -> None:
-    study = plain(synthetic.session(poses=20, seed=5))
-    monkeypatch.setattr(readings, "carried", lambda study, term: odds)
-    assert bool(against(study, first_axis_turned(**others))) is refused
-
-
-def elsewhere(scene: Scene) -> Array:
-    return scene.kin.R_tool @ np.array([0.012, -0.009, 0.006])
-
-
-def test_a_marker_that_sits_elsewhere_leaves_the_readings_open_within_its_errors() -> None:
-    study = plain(synthetic.session(poses=20, seed=5, extra=elsewhere))
-    with_it = study_of(study.observation, (*study.terms, Term(find_effect("marker_offset"))))
-    turned = find_effect("station_registration")
-    before, after = readings_of(study, turned), readings_of(with_it, turned)
-    assert before is not None and after is not None
-    assert after.ground.shape[2] == before.ground.shape[2] + 3
-    se = [with_it.fit.terms[-1].estimates[f"d_{a}"].se for a in "xyz"]
-    np.testing.assert_allclose(np.linalg.norm(after.ground[:, :, -3:], axis=1), np.tile(se, (len(after.rows), 1)), rtol=1e-9)
