@@ -60,7 +60,8 @@ class Places:
         several = [p for p in self._shaped if len(p.grid) > 1]
         near = self._moved_to_best(ground, start, several) if several else start
         there = near if len(several) == len(self._shaped) else self._moved_to_best(ground, near, self._shaped)
-        best = max(near, there, key=lambda f: f.evidence + min(f.known, 0.0))
+        possible = [f for f in (near, there) if self._can_be(f.shape, f.x)] or [start]
+        best = max(possible, key=lambda f: f.evidence + min(f.known, 0.0))
         return best.shape, min(best.known, 0.0) - log(len(self.grid))
 
     def _moved_to_best(self, ground: Ground, found: _Found, shaped: Sequence[Parameter]) -> _Found:

@@ -175,14 +175,16 @@ def rivals_of(
 
 
 def _is_the_name(final: Explanation, effect_id: str, one: Explanation, other: str, odds: float, settings: Settings) -> bool:
-    """Whether the values of a rival are rather the name itself: a rival that came to a bound would go on where the name begins.
-    Of a name that came near the same bound by more.
+    """Whether the values of a rival are rather the name itself: a rival that came to a bound would go on where the name begins,
+    unless that came to the same bound. A name that has no fewer values to fit needs to be preferred by more.
 
     Args:
         odds: of the name over it.
     """
     if ends_at(one, other) == effect_id:
-        return odds > (settings.nats_to_separate if ends_at(final, effect_id) == other else settings.nats_to_prefer)
+        as_many = len(final.term(effect_id).estimates) >= len(one.term(other).estimates)
+        least = settings.nats_to_separate if as_many else settings.nats_to_prefer
+        return ends_at(final, effect_id) != other and odds > least
     return rather(one, other) == effect_id
 
 

@@ -88,8 +88,8 @@ def _refined(study: Study, trial: Trial) -> dict[str, float]:
     def loss(values: dict[str, float]) -> float:
         return -ground.posterior(block_at(study, trial.best, values), np.ones(1)).log_evidence
 
-    # a place (`Parameter.shapes`) has been moved already, and is again beside the fitted model
-    moved = [p for p in trial.effect.parameters(study.ready) if p.name in shape and _is_continuous(p) and not p.shapes]
+    moved = [p for p in trial.effect.parameters(study.ready) if p.name in shape and _is_continuous(p)]
+    moved = [p for p in moved if shape[p.name] > 0.0 or min(p.grid) <= 0.0]  # the least length of a hose has no logarithm
     between = {p.name: _neighbours(p, shape[p.name]) for p in moved}
     before = np.inf
     for _ in range(ROUNDS if len(moved) > 1 else 1):  # where they depend on each other, one is right only beside the other

@@ -170,7 +170,7 @@ def _weights_of_other_masses(values: Mapping[str, tuple[float, float]], scene: S
 
 
 def _pushes(values: Mapping[str, tuple[float, float]], scene: Scene) -> str:
-    """Why a pull towards a place is none: over the session its mean is a push; or an empty string."""
+    """Why a pull towards a place is none: over the session its mean, with that at the wrist, is a push; or an empty string."""
     for tension, stiffness, more, place, to in (("t", "k_place", "", "h", "to"), ("t_cell", "k_cell", "s_cell", "from", "at")):
         t, k, s, *towards = (values.get(n, (0.0, 0.0))[0] for n in (tension, stiffness, more, *(f"{place}_{a}" for a in AXES)))
         tied = np.array([values.get(f"{to}_{a}", (0.0, 0.0))[0] for a in AXES])
@@ -178,7 +178,9 @@ def _pushes(values: Mapping[str, tuple[float, float]], scene: Scene) -> str:
             continue
         way = np.array(towards) - scene.p_tcp - scene.kin.R_tool @ tied
         far = np.linalg.norm(way, axis=1)
-        mean = float((t + k * far + s * far**3).mean())
+        # the two together are one pull, on a point between
+        wrist = values.get("t_wrist", (0.0, 0.0))[0] if tension == "t" else 0.0
+        mean = float((t + k * far + s * far**3).mean()) + wrist
         if mean < 0.0:
             return f"it would push with {-mean:.3g} N from ({_point(towards)}) m in base_link, and no hose does"
     return ""

@@ -20,9 +20,7 @@ AT_ONCE = 1e-3  # share of the rated torque below which the side on which the ge
 TAKEN_UP_OVER = (AT_ONCE, 0.004, 0.015)
 # Gear makers read lost motion at +-3 % of the rated torque. What is soft over a wider range is a spring: joint_stiffening.
 WIDEST = 0.03
-# of that, from which on play may as well be a soft gear, and up to its inverse a soft gear play; chosen: plays of outside
-# simulators came to 0.68 of it, soft gears in their place to 1.35
-INSIDE = 0.7
+INSIDE = 0.7  # of that, from which on play may as well begin there; chosen: plays of outside simulators came to 0.68 of it
 HELD_UP_TO = 1.5  # times the range over which play is taken up; chosen: nine tenths of the play are held without load then
 SHAPE = 3  # parameters that enter nonlinearly, the last ones
 LARGEST = 0.015  # rad; some fifty arc minutes, of a small gear of a wrist that is worn out

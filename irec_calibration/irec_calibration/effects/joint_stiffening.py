@@ -10,7 +10,7 @@ import numpy as np
 from ..robot.ratings import rated_torque, rating_known
 from ..typing import Array, BoolArray
 from .base import Effect, Parameter
-from .joint_backlash import INSIDE, WIDEST
+from .joint_backlash import WIDEST
 from .live import ColumnLaw, LiveForm, Springs, Tick, drives
 from .scales import COUNTS, at_border, comes_near_zero, may_be_wide, typical_compliance
 from .scene import Scene
@@ -129,7 +129,7 @@ class JointStiffening(Effect):
         counts = np.abs(a) >= COUNTS * np.abs(a).max(initial=1e-300)
         shares = (_x_0(scene, theta) / rated_torque(scene.robot)[driven])[counts]
         stated = rating_known(scene.robot)[driven][counts]
-        return "joint_backlash" if stated.all() and (shares <= WIDEST / INSIDE).all() else ""
+        return "joint_backlash" if stated.all() and all(at_border(s, WIDEST) for s in shares) else ""
 
     def also_called(self, scene: Scene, theta: Array, se: Array) -> str:
         driven = np.flatnonzero(scene.driven)

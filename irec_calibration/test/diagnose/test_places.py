@@ -94,6 +94,8 @@ def test_a_pull_towards_a_place_that_pushes_on_the_whole_is_impossible() -> None
     values = {f"h_{a}": (float(h), 0.1) for a, h in zip("xyz", HOOK, strict=True)} | {"t": (-150.0, 1.0)}
     assert "it would push with" in effect.why_impossible(values, {}, scene)
     assert effect.why_impossible(values | {"k_place": (110.0, 1.0)}, {}, scene) == ""
+    assert effect.why_impossible(values | {"t_wrist": (200.0, 1.0)}, {}, scene) == ""
+    assert "it would push with" in effect.why_impossible(values | {"t_wrist": (100.0, 1.0)}, {}, scene)
 
 
 def test_a_place_from_which_a_hose_would_push_is_no_start() -> None:
