@@ -95,7 +95,7 @@ def _always_shows(scene: Scene) -> bool:
 
 
 def stands_elsewhere(scene: Scene) -> bool:
-    """Whether the tool stands so much otherwise at the references that a hose from the cell shows which always pulls."""
+    """Whether the tool stands so much otherwise at the references that a hose shows which always pulls."""
     if scene.kind != "loaded" or not scene.rows.under_load.any():
         return False
     moved = np.linalg.norm(scene.change(scene.p_tcp), axis=1)[scene.rows.under_load > 0]

@@ -111,6 +111,15 @@ def test_a_place_from_which_a_hose_would_push_is_no_start() -> None:
     assert np.linalg.norm([found[f"h_{a}"] for a in "xyz"] - HOOK) < 0.5
 
 
+def test_a_place_to_which_it_moved_and_from_which_it_would_push_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    at = study()
+    hose, ground = of_hose(at), Ground(at.bench, at.base)
+    assert hose.best(ground)[0] not in hose.grid, "no example"
+    monkeypatch.setattr(Places, "_can_be", lambda self, shape, x: shape in self.grid)
+    place, log_prior = hose.best(ground)
+    assert place in hose.grid and log_prior == pytest.approx(-np.log(len(hose.grid)))
+
+
 def test_the_place_is_found_between_those_of_the_grid() -> None:
     at = study()
     place, log_prior = of_hose(at).best(Ground(at.bench, at.base))
