@@ -123,7 +123,7 @@ def assess(
     repeats = repeats_of(study, ground)
     known = study.base + _columns(study, built.family, rest.bad_rows)
     bare = repeats_of(study, Ground(study.bench, known)) if rest.structures else repeats
-    noise = inferred(study, ground, repeats, settings)
+    noise = inferred(study, ground, repeats, settings, asked.apart)
     flexible = flexible_gain(study.observation, _unexpected(study, known), settings)
     evidence = []
     if bare.p_value < settings.repeats_p:
@@ -190,13 +190,13 @@ def assess(
         depends_on = tuple(dict.fromkeys((*told, *_depends_on(built, start, flexible, sought=True))))
         depends_on = depends_on[: settings.most_depended_on]
     else:
-        depends_on = _depends_on(built, final, flexible, sought="few_poses" in evidence) if evidence else ()
+        depends_on = _depends_on(built, final, flexible, sought=_in_few(evidence)) if evidence else ()
     if moves > 0.0 and "stamp" not in depends_on:
         depends_on = (*depends_on, "stamp")
     remaining = max(_size(study, known, ground) if evidence and rest.structures else 0.0, moves)
     if "repeats" in evidence:  # they know what is missing, whether or not a structure describes it
         remaining = max(remaining, _beside_repeats(study, bare))
-    if "readings_that_stand_out" in evidence or "few_poses" in evidence:
+    if _in_few(evidence):
         remaining = max(remaining, float(np.sqrt(max(rms(_residual(study, study.base)) ** 2 - noise.inferred_m**2, 0.0))))
     if evidence and remaining == 0.0:
         remaining = flexible.gain_m
@@ -209,6 +209,11 @@ def assess(
         float(remaining), _hidden(noise, len(study.bench.b), settings), explained, noise, bare, flexible, readings, base_cv,
         built.reason, asked, pruned.parts, other, tuple(as_usual), usual_m,
     )  # fmt: skip
+
+
+def _in_few(evidence: Collection[str]) -> bool:
+    """Whether what is left is seen in few readings or poses, which may count for nothing beside the model."""
+    return "readings_that_stand_out" in evidence or "few_poses" in evidence
 
 
 def wanders_too_far(study: Study, noise: InferredNoise, settings: Settings) -> float:

@@ -85,10 +85,24 @@ def _row(session: Session, row: int, kind: str, size_m: float, action: str, text
 def too_many_aside(study: Study, aside: Sequence[Part], noise_m: float, settings: Settings) -> bool:
     """Whether so many readings, or poses of a loaded session as a whole or by their references, count for nothing that something
     systematic is behind them. Arguments as of `put_aside`."""
+    if rows_as_a_whole(study, aside, settings):
+        return True
     poses = sum(len(p.structure.rows) > 1 for p in aside) if study.ready.kind == "loaded" else 0
     if poses > settings.several and poses > settings.most_put_aside * len(study.observation.poses):
         return True
     return len(aside) >= settings.several and put_aside(study, aside, noise_m) > settings.most_put_aside
+
+
+def rows_as_a_whole(study: Study, aside: Sequence[Part], settings: Settings) -> list[int]:
+    """Rows of poses of a loaded session that stand out in all load cases, each by itself, as no wrong reference makes them, where
+    so many poses do that it is no accident; else none. Arguments as of `put_aside`."""
+    whole = [p for p in aside if len(p.structure.rows) > 1 and not _is_single(p)] if study.ready.kind == "loaded" else []
+    return [r for p in whole for r in p.structure.rows] if len(whole) >= settings.several_as_a_whole else []
+
+
+def _is_single(part: Part) -> bool:
+    """Whether one reading is off: that of a row, or a reference."""
+    return part.structure.columns.stop - part.structure.columns.start <= 3
 
 
 def put_aside(study: Study, aside: Sequence[Part], noise_m: float) -> float:
@@ -104,6 +118,5 @@ def put_aside(study: Study, aside: Sequence[Part], noise_m: float) -> float:
     references = study.ready.reference[observation.rows]
     readings = len(references) + len(np.unique(references[references >= 0]))
     far = observation.rows[residual > FAR * noise_m]
-    single = [p.structure.columns.stop - p.structure.columns.start <= 3 for p in aside]
-    count = sum(1 if s else int(np.isin(p.structure.rows, far).sum()) for s, p in zip(single, aside, strict=True))
+    count = sum(1 if _is_single(p) else int(np.isin(p.structure.rows, far).sum()) for p in aside)
     return count / max(readings, 1)

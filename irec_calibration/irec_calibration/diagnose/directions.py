@@ -18,10 +18,10 @@ from .study import Study
 DEGREE = 3  # of a curve over one variable
 BEARS = 1e-4  # of what the most loaded axis bears, each by its rated torque; less is rounding, and a law of it a law of nothing
 MOST = 1.2  # of the largest value that is seen: no law is carried on beyond
-TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment over which a play is taken up
 SEEN_AT, TURNS = ("marker_x", "marker_y", "marker_z"), 4  # columns of a reading; waves per turn of an encoder that are tried
 IN_BASE = "constant in the base frame"
 TURNING, COMPLIANCE = "turning the axes", "as compliance of the axes"
+ALONG_DEFLECTION = "along the elastic deflection"
 TYPICAL_DISPLACEMENT = 3e-5  # m; what a coefficient of 1 moves; the amplitude itself is inferred
 
 
@@ -114,7 +114,7 @@ def _times(columns: Array, scaled: Array) -> float:
     return float(np.abs(columns).max() / max(float(np.abs(scaled).max()), 1e-300))
 
 
-def _under_load(scene: Scene) -> Array:
+def under_load(scene: Scene) -> Array:
     """1 in the rows in which a process force acts, in all rows of an absolute session, else 0, (n, 1, 1)."""
     relaxed = scene.kind == "loaded" and not scene.instruments.by_contact  # references bear no force
     acts = scene.load_case > 0 if relaxed else np.ones(len(scene), dtype=bool)
@@ -125,11 +125,11 @@ def directions(study: Study) -> Iterator[Direction]:
     """Directions along which a structure may act: words, variables that they bring along, columns (n, 3, d) in m."""
     scene = study.ready
     rows = study.observation.rows
-    on = _under_load(scene)
+    on = under_load(scene)
     tau = scene.load_torque()
     yield Direction(IN_BASE, (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
-    yield Direction("along the elastic deflection", (), scaled(scene.response.displacement[:, :, None] * on, rows))
+    yield Direction(ALONG_DEFLECTION, (), scaled(scene.response.displacement[:, :, None] * on, rows))
     yield Direction("as a force at the tool", (), scaled(scene.response.compliance[:, :, :3] * on, rows))
     angle = scaled(scene.J * on, rows)
     size = np.maximum(np.sqrt((tau[rows] ** 2).mean(axis=0)), least_torque(study))
@@ -145,13 +145,16 @@ def shaped(study: Study) -> Iterator[Direction]:
     """Smooth functions of one variable along every direction."""
     forms = shapes(study)
     for d in directions(study):
-        for name, shape in forms.items():
+        is_compliance = d.words == COMPLIANCE or (d.axis is not None and f"tau_{d.axis + 1}" in d.variables)
+        as_springs = is_compliance or d.words == ALONG_DEFLECTION
+        for name, every in forms.items():
+            # what all load cases have in common is the springs', which have priors; in a structure it would be free of them
+            shape = every - every.mean(axis=1, keepdims=True) if as_springs and name == "load_case" else every
             columns = (d.columns[:, :, :, None] * shape[:, None, None, :]).reshape(len(shape), 3, -1)
             # an axis that its own torque turns by any curve: what stiffening, play and friction of that axis are forms of
             # also where all axes turn by it: each by itself is a direction of its own
             of_all = d.words in (TURNING, COMPLIANCE)
             by_torque, by_angle = _axis_in(name, "tau"), _axis_in(name, "joint")
-            is_compliance = d.words == COMPLIANCE or (d.axis is not None and f"tau_{d.axis + 1}" in d.variables)
             law_of = by_torque if of_all or by_torque == d.axis else None
             softer = by_angle if is_compliance and (of_all or by_angle == d.axis) else None
             variables = (name, *(v for v in d.variables if v != name))
@@ -174,7 +177,7 @@ def _axis_in(name: str, of: str) -> int | None:
 def two_variables(study: Study) -> Iterator[Direction]:
     """Functions of two variables that turn one axis: torque with its own angle, gravity, history, or another torque."""
     scene, rows = study.ready, study.observation.rows
-    angle = scaled(scene.J * _under_load(scene), rows)
+    angle = scaled(scene.J * under_load(scene), rows)
     tau = scene.load_torque()
     size = np.maximum(np.abs(tau[rows]).max(axis=0), least_torque(study))
     t = tau / size
@@ -233,30 +236,6 @@ def two_variables(study: Study) -> Iterator[Direction]:
                 )
 
 
-def tilts(study: Study) -> Iterator[Direction]:
-    """A link that tilts across its axis by any curve of the moment about that direction: what a worn bearing does, for one."""
-    scene, rows = study.ready, study.observation.rows
-    on = _under_load(scene)
-    across, moment = scaled(scene.V, rows), scene.load_torque_virtual()
-    whole = moment + (scene.gravity.tau_virtual if scene.kind == "loaded" else 0.0)
-    several = len(np.unique(scene.load_case[rows])) > 1
-    for i in range(moment.shape[1]):
-        largest = float(np.abs(moment[rows, i]).max())
-        if largest <= 1e-6:
-            continue
-        k, t = i // 2, moment[:, i] / largest
-        own, tau = across[:, :, i : i + 1], f"tau_{k + 1}"
-        names = ("load_case", tau) if several else (tau, f"joint_{k + 1}")
-        shape = np.stack([t**2, t * np.abs(t), t**3, np.tanh(5.0 * t)], axis=1)
-        words = f"tilting the link of axis {k + 1} across it, by its moment"
-        yield Direction(words, names, own * on * shape[:, None, :], is_tilt=True)
-        w = whole[:, i] / max(float(np.abs(whole[rows, i]).max()), 1e-9)
-        taken_up = [np.tanh(w / share) for share in TAKEN_UP]
-        shape = np.column_stack([*taken_up, w**2, w**3])
-        words = f"tilting the link of axis {k + 1} across it, by its whole moment, gravity included"
-        yield Direction(words, names, own * shape[:, None, :], is_tilt=True)
-
-
 def plain(study: Study) -> Iterator[Direction]:
     """Structures that need no variable of their own."""
     scene, rows = study.ready, study.observation.rows
@@ -270,7 +249,7 @@ def plain(study: Study) -> Iterator[Direction]:
     words, bent_scaled = "as if the gain of the force sensor changed with the load", scaled(bent, rows)
     # else one that doubles the force passes for a sensor that is mounted turned
     yield Direction(words, ("force_z", "load_case"), bent_scaled, largest=SETTINGS.most_of_gain * _times(bent, bent_scaled))
-    on = _under_load(scene)
+    on = under_load(scene)
     yield Direction(IN_BASE, (), np.tile(np.eye(3), (len(scene), 1, 1)) * TYPICAL_DISPLACEMENT * on)
     yield Direction("constant in the tool frame", (), scene.kin.R_tool * TYPICAL_DISPLACEMENT * on)
     if scene.kind == "loaded" and np.any(scene.previous >= 0):

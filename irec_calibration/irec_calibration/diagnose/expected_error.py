@@ -24,6 +24,8 @@ from ..identification.validation import HeldOut, floored
 from ..lengths import length
 from ..model import Estimate, Model, Term, total_displacement
 from ..typing import Array, Json
+from .bad_readings import rows_as_a_whole
+from .settings import SETTINGS
 from .study import Study
 
 SAMPLES = 3000  # they tell the error to 5 %
@@ -127,18 +129,22 @@ def expected_error(study: Study, held_out: HeldOut) -> ExpectedError | None:
 
 def _usual_square(study: Study, held_out: HeldOut) -> tuple[float, float]:
     """Mean square of the error on held-out poses, m^2, and what noise alone leaves, m, without readings that stand out; of a pose
-    that does no more than EVENT times the usual: what came over it alone, as a bump of the station, production does not have."""
+    that does no more than EVENT times the usual: what came over it alone, as a bump of the station, production does not have.
+    Poses that stand out as a whole, where several do, are as production has them."""
     observation = study.observation
+    no_accident = rows_as_a_whole(study, study.apart, SETTINGS)
     aside = [r for p in study.apart for r in p.structure.rows]
-    good = ~np.isin(observation.rows, aside)
+    usual = ~np.isin(observation.rows, aside)
+    good = usual | np.isin(observation.rows, no_accident)
     square = (held_out.residual**2).sum(axis=1)
     _, pose = np.unique(study.session.pose[observation.rows[good]], return_inverse=True)
     if not len(pose):
         return held_out.rms_m**2, observation.whiten.floor
     count = np.bincount(pose)
     mean = np.bincount(pose, square[good]) / count
-    mean = np.minimum(mean, EVENT * np.median(mean))
-    return float((mean * count).sum() / count.sum()), observation.whiten.only(good).floor
+    kept = np.bincount(pose, np.isin(observation.rows[good], no_accident)) > 0
+    mean = np.where(kept, mean, np.minimum(mean, EVENT * np.median(mean)))
+    return float((mean * count).sum() / count.sum()), observation.whiten.only(usual).floor
 
 
 def _rms(derivatives: Array, spread: Array) -> float:

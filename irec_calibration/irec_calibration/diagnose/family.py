@@ -15,12 +15,13 @@ import numpy as np
 
 from ..identification.bad_rows import SHOWN_AGAIN
 from ..typing import Array, BoolArray, IntArray
-from .directions import TYPICAL_DISPLACEMENT, drifts, plain, readings, shaped, tilts, two_variables
+from .directions import TYPICAL_DISPLACEMENT, drifts, plain, readings, shaped, two_variables
 from .evidence import Block
 from .ground import Ground
 from .memories import memories
 from .ripples import ripples
 from .study import Study
+from .tilts import on_the_ground, tilts
 
 AMPLITUDES = np.geomspace(0.1, 1000.0, 9)  # of the coefficients' prior, in units of the typical displacement
 TYPICAL_ANGLE = 1e-5  # rad, of a ripple
@@ -176,7 +177,7 @@ def family_of(study: Study) -> Family:
     structures: list[Structure] = []
     columns: list[Array] = []
     at = 0
-    kinds = [list(f(study)) for f in (plain, memories, readings, drifts, two_variables, tilts, shaped)]
+    kinds = [list(f(study)) for f in (plain, memories, readings, drifts, two_variables, tilts, on_the_ground, shaped)]
     for kind in kinds:
         if not kind:
             continue

@@ -225,15 +225,22 @@ def repeats_of(study: Study, ground: Ground) -> Repeats:
     return Repeats(chi2, dof, beside, left, p)
 
 
-def inferred(study: Study, ground: Ground, repeats: Repeats, settings: Settings = SETTINGS) -> InferredNoise:
-    """The level of the noise: from repeats alone where they contradict the model, else from repeats and residual."""
-    found = _inferred(study, ground, repeats, settings)
+def inferred(
+    study: Study, ground: Ground, repeats: Repeats, settings: Settings = SETTINGS, apart: Sequence[Part] = ()
+) -> InferredNoise:
+    """The level of the noise: from repeats alone where they contradict the model, else from repeats and residual.
+
+    Args:
+        apart: readings that stand out; how far they do is no size of the noise.
+    """
+    found = _inferred(study, ground, repeats, settings, apart)
     wander = study.observation.whiten.wander
     return found if wander is None else replace(found, wander_share=wander.share, wander_time_s=wander.time)
 
 
-def _inferred(study: Study, ground: Ground, repeats: Repeats, settings: Settings) -> InferredNoise:
-    whiten = study.observation.whiten
+def _inferred(study: Study, ground: Ground, repeats: Repeats, settings: Settings, apart: Sequence[Part]) -> InferredNoise:
+    usual = ~np.isin(study.observation.rows, [r for p in apart for r in p.structure.rows])
+    whiten = study.observation.whiten.only(usual if usual.any() else ~usual)
     to_claim = whiten.level**2
     enough = repeats.dof >= settings.fewest_repeats
     if enough and repeats.p_value < settings.repeats_p:

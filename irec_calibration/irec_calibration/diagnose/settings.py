@@ -207,6 +207,11 @@ class Settings(Thresholds):
         3, "rows, references or poses", "that stand out at least, before their share says anything",
         "one or two are bad luck in a session of any length",
     )  # fmt: skip
+    several_as_a_whole: int = threshold(
+        2, "poses", "that stand out in all load cases, each by itself, which are hardly accidents",
+        "of 9 sessions of three outside simulators with two such poses, 8 had a cause outside of the catalogue, one a station"
+        " that was moved twice",
+    )  # fmt: skip
     nats_of_accident: float = threshold(
         40.0, "nats", "evidence that a row or a reference stands out, from which it is an accident before causes are weighed",
         "chosen: twice what a name needs that one pose shows",

@@ -38,8 +38,8 @@ class ExternalForce(Effect):
         "process runs, or always, as such a hose, or between the cell and a point of the tool, always and as a spring: then the "
         "joint angles of reference and load case make the difference; and a torque, since it does not pull at the TCP. "
         "Missing, the residual is there whatever the process force and depends on the pose only. In a loaded session a force "
-        "that stays the same cancels; in an absolute one all of it shows, but a constant one along gravity is a payload, or "
-        "at the wrist a forearm, of another mass."
+        "that stays the same cancels; in an absolute one all of it shows, and of a dress pack the hose that is slack up to "
+        "its length, but a constant one along gravity is a payload, or at the wrist a forearm, of another mass."
     )
     family = Family.SENSOR
     needs_elastic = True

@@ -18,6 +18,7 @@ from .hoses import (
     forearm,
     forearm_frame,
     has_pack,
+    has_wrist,
     turning,
     turning_in_tool,
     wrist_centre,
@@ -70,7 +71,7 @@ def _anew(scene: Scene) -> tuple[Parameter, ...]:
         *(pull(f"f_{d}_pack", "between forearm and flange") for d in FOREARM if has_pack(scene)),
         *(of_place(scene) if scene.kind == "loaded" else ()),
         *(of_moored_hose(scene) if _always_shows(scene) else ()),
-        *(of_taut_hose(scene) if has_pack(scene) and _always_shows(scene) else ()),
+        *(of_taut_hose(scene) if has_wrist(scene) and (scene.kind == "absolute" or _always_shows(scene)) else ()),
         *(of_taut_hose(scene, pressed=True) if has_pack(scene) else ()),
     )
 

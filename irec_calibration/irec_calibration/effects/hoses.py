@@ -152,11 +152,14 @@ def pull_when_tight(theta: Array, way: Array) -> Array:
 
 
 def _caused(scene: Scene, force: Array, pull: Array, pressed: bool) -> tuple[Array, Array]:
-    """What of a pull is there in each row: all of it under load, or always, of which the process causes the change."""
+    """What of a pull is there in each row: all of it under load, or always, of which the process causes the change since the
+    reference; an absolute session has none."""
     if pressed:
         under_load = scene.rows.under_load[:, None]
         return force * under_load[:, :, None], pull * under_load
-    return (force, pull) if scene.view.measured else (scene.change(force), scene.change(pull))
+    if scene.kind == "absolute" or scene.view.measured:
+        return force, pull
+    return scene.change(force), scene.change(pull)
 
 
 def _tied_to_tool(R_tool: Array, tied: Array, force: Array, pull: Array) -> Array:
@@ -200,8 +203,14 @@ def turning_in_tool(scene: Scene) -> list[int]:
 
 
 def has_pack(scene: Scene) -> bool:
-    """Whether a pull between forearm and flange is looked for: a session without process shows too little beside the weight."""
-    return scene.kind == "loaded" and scene.wrist[0] > 0
+    """Whether a constant pull between forearm and flange is looked for, and one under load: a session without process shows too
+    little of the first beside the weight."""
+    return scene.kind == "loaded" and has_wrist(scene)
+
+
+def has_wrist(scene: Scene) -> bool:
+    """Whether there is a forearm before the wrist, to which a hose may be tied."""
+    return scene.wrist[0] > 0
 
 
 def forearm(scene: Scene) -> int:

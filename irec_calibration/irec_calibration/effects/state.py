@@ -297,7 +297,7 @@ class ElasticResponse:
         by_geometry: derivative of the displacement by the parameters of `geometry_error`, (n, 3, g); None where it was not asked
             for.
         of_wrist: as compliance, of the springs of wrist axes alone, (n, 3, 6): what a wrench between forearm and flange moves;
-            None in an absolute session.
+            None where there is none.
     """
 
     displacement: Array

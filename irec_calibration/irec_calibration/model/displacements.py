@@ -101,7 +101,7 @@ def elastic_response(
     """
     n = len(scene)
     u, rotation, compliance = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 6))
-    of_wrist = np.zeros((n, 3, 6)) if scene.kind == "loaded" else None
+    of_wrist = np.zeros((n, 3, 6))
     turned = []
     for term in loaded(terms, scene):
         if not term.effect.elastic:
@@ -109,7 +109,7 @@ def elastic_response(
         theta = term.theta(parameters_of(term.effect, scene))
         one = response_of(term.effect, theta, scene)
         u, rotation, compliance = u + one.displacement, rotation + one.rotation, compliance + one.compliance
-        if of_wrist is not None and one.of_wrist is not None:
+        if one.of_wrist is not None:
             of_wrist = of_wrist + one.of_wrist
         more = None if mover is None else by_geometry(term.effect, theta, scene, mover, which)
         turned += [] if more is None else [more]

@@ -63,7 +63,7 @@ def response_of(effect: Effect, theta: Array, scene: Scene) -> ElasticResponse:
     """What effects see of a spring at values of its parameters: as it is kept, or asked anew."""
     if is_kept(effect, scene):
         found, known = answer_of(effect, theta, scene).response(scene), _kept(effect, theta, scene)
-        if scene.kind == "loaded" and known.wrist.any():
+        if known.wrist.any():
             found = replace(found, of_wrist=_at(known.columns.by_wrench[:, :, 0], theta * known.wrist))
         return found
     u = effect.displacement(scene, theta)
@@ -71,7 +71,7 @@ def response_of(effect: Effect, theta: Array, scene: Scene) -> ElasticResponse:
     further = [scene.seen_at(scene.p_observed + e) for e in np.eye(3)]
     by_wrench, by_place = (np.stack([effect.displacement(s, theta) - u for s in there], axis=2) for there in (pressed, further))
     of_wrist, wrist = None, theta * effect.in_wrist(scene)
-    if scene.kind == "loaded" and wrist.any():
+    if wrist.any():
         here = effect.displacement(scene, wrist)
         of_wrist = np.stack([effect.displacement(s, wrist) - here for s in pressed], axis=2)
     return ElasticResponse(u, _rotation(by_place), by_wrench, of_wrist=of_wrist)
@@ -97,7 +97,7 @@ def by_parameters(
     if mover is not None and not effect.completes:
         turned = _by_geometry(effect, scene, mover).under(scene, which)
     by_wrench = known.by_wrench[:, :, 0]
-    of_wrist = by_wrench * kept.wrist if scene.kind == "loaded" else None
+    of_wrist = by_wrench * kept.wrist
     return ElasticResponse(u[:, :, 0], _rotation(u[:, :, 1:] - u[:, :, :1]), by_wrench, turned, of_wrist)
 
 

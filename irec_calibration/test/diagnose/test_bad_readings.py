@@ -90,16 +90,36 @@ def test_of_a_pose_that_is_put_aside_only_the_readings_that_stand_out_count() ->
     assert put_aside(study, [part((1,)), reference], 4e-5) == 2 / 24
 
 
-@pytest.mark.parametrize(("kind", "poses", "is_too_many"), [("loaded", 3, False), ("loaded", 4, True), ("absolute", 4, False)])
-def test_too_many_whole_poses_that_are_put_aside_are_no_bad_luck_though_few_of_their_readings_stand_out(
-    kind, poses, is_too_many
-):
+def _poses_put_aside(kind: str, poses: int, columns: int) -> tuple[SimpleNamespace, list[SimpleNamespace]]:
     study = SimpleNamespace(
         observation=SimpleNamespace(rows=np.arange(100), poses=np.arange(20)),
         fit=SimpleNamespace(residual=np.full((100, 3), 1e-5)),
         ready=SimpleNamespace(reference=np.repeat(np.arange(0, 100, 5), 5), kind=kind),
     )
     rows = [tuple(range(5 * i, 5 * i + 5)) for i in range(poses)]
-    aside = [SimpleNamespace(structure=SimpleNamespace(rows=r, columns=slice(0, 15))) for r in rows]
+    return study, [SimpleNamespace(structure=SimpleNamespace(rows=r, columns=slice(0, columns))) for r in rows]
+
+
+@pytest.mark.parametrize(("kind", "poses", "is_too_many"), [("loaded", 3, False), ("loaded", 4, True), ("absolute", 2, False)])
+def test_too_many_poses_put_aside_by_their_references_are_no_bad_luck(kind: str, poses: int, is_too_many: bool) -> None:
+    study, aside = _poses_put_aside(kind, poses, columns=3)
+    assert too_many_aside(study, aside, 4e-5, SETTINGS) == is_too_many
+
+
+@pytest.mark.parametrize(("kind", "poses", "is_too_many"), [("loaded", 1, False), ("loaded", 2, True), ("absolute", 4, False)])
+def test_two_poses_that_stand_out_in_each_load_case_by_itself_are_no_bad_luck_though_few_of_their_readings_do(
+    kind: str, poses: int, is_too_many: bool
+) -> None:
+    study, aside = _poses_put_aside(kind, poses, columns=15)
     assert put_aside(study, aside, 4e-5) == 0.0
     assert too_many_aside(study, aside, 4e-5, SETTINGS) == is_too_many
+
+
+def test_how_far_two_poses_are_off_is_no_size_of_the_noise() -> None:
+    def off(scene: Scene) -> NDArray[np.float64]:
+        angle = np.where(np.isin(scene.pose, (9, 10)), 6e-7 * scene.tau[:, 1], 0.0)
+        return scene.kin.jacobian(scene.p_observed)[:, :, 1] * angle[:, None]
+
+    quiet, shaken = (diagnose(synthetic.session(31, 2, extra=extra)) for extra in (None, off))
+    assert shaken.verdict.evidence == ("readings_that_stand_out",), shaken.verdict.text
+    assert shaken.noise.inferred_m < 1.3 * quiet.noise.inferred_m

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import synthetic
-from irec_calibration.diagnose.directions import bearing, varying
+from irec_calibration.diagnose.directions import bearing, shaped, varying
 from irec_calibration.diagnose.family import family_of
 from irec_calibration.diagnose.study import Study, prepare
 from irec_calibration.identification.identify import default_terms
@@ -33,3 +33,10 @@ def test_no_structure_follows_it(pushed_along_axis_6: Study) -> None:
     assert any("tau_5" in s.variables for s in structures)
     shown = [s for s in structures if "tau_6" in s.variables]
     assert all(s.law_of is None and s.axis != 5 for s in shown), [s.words for s in shown]
+
+
+@pytest.mark.parametrize("words", ["along the elastic deflection", "as compliance of axis 2"])
+def test_what_all_load_cases_have_in_common_is_left_to_the_springs(pushed_along_axis_6: Study, words: str) -> None:
+    (by_load_case,) = (d for d in shaped(pushed_along_axis_6) if d.words == words and d.variables[0] == "load_case")
+    assert np.abs(by_load_case.columns).max() > 0.0
+    assert np.abs(by_load_case.columns.sum(axis=2)).max() < 1e-12 * np.abs(by_load_case.columns).max()

@@ -134,6 +134,18 @@ def test_a_bump_of_the_station_in_one_pose_says_nothing_of_other_poses() -> None
     assert shaken.expected_error.at_tcp_m < 1.5 * quiet.expected_error.at_tcp_m
 
 
+@pytest.mark.parametrize(("poses", "counts"), [((9,), False), ((9, 10), True)])
+def test_poses_that_deviate_in_every_load_case_count_where_several_do(poses: tuple[int, ...], counts: bool) -> None:
+    def soft_there(scene: Scene) -> Array:
+        lateral = scene.force_in_tool[:, :1] + scene.force_in_tool[:, 1:2]  # no reference is off by that
+        return np.where(np.isin(made.pose, poses)[:, None], 1e-6 * lateral * np.ones(3), 0.0)
+
+    made = synthetic.session(31, 2)
+    missing = soft_there(scene_of(made))
+    shaken = validated(synthetic.session(31, 2, extra=soft_there), TERMS)
+    assert (shaken.expected_error.at_tcp_m > 0.7 * np.sqrt((missing**2).sum(axis=1).mean())) == counts
+
+
 def test_structure_that_a_model_lacks_is_part_of_it() -> None:
     def law(scene: Scene) -> Array:
         return 1e-4 * np.sin(3.0 * scene.q[:, :1]) * (scene.load_case > 0)[:, None] * np.array([1.0, 0.0, 0.0])
