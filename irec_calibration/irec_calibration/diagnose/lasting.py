@@ -13,14 +13,12 @@ import numpy as np
 from ..identification.observe import beyond_controller
 from ..model import Term, total_displacement, whole_sag_of
 from ..typing import Array, IntArray
-from .evidence import Bench, Block, NoisePrior
+from .scatter import Scattered
 from .settings import SETTINGS
 from .study import Study
 
 LASTING = SETTINGS.lasting
-LEVELS = LASTING.level_m * 2.0 ** np.arange(13)  # of the scatter, equally likely beforehand
 TIMES, NEXT = 6, 2  # other times at which a step is tried; readings next to it that a smooth function may make up for
-KNOWN = 1e9  # equations that a level counts for which is given
 POSE_LEVELS = np.array([0.0, 1.0 / 3.0, 1.0, 3.0])  # multiples of `pose_m`
 
 
@@ -57,17 +55,17 @@ def lasts(study: Study, shift: Term) -> float:
     plain = np.concatenate([anywhere, turned, LASTING.elsewhere_m * R[rows], usually_beyond(study, rows)], axis=2)
     drifts = LASTING.drifts_m * _course(study, rows)[:, :, None, None] * np.eye(3)
     drifting = np.concatenate([plain, *np.moveaxis(drifts, 1, 0)], axis=2)
-    grounds = (plain, drifting)  # either likely beforehand
     again = _same_pose(session.pose[rows])
-    once, turns = (_beside_poses(mean - step, grounds, again) for step in (0.0 * in_base, with_tool))
+    grounds = _beside_poses((plain, drifting), again)  # either likely beforehand
+    once, turns = (_log_evidence(mean - step, grounds) for step in (0.0 * in_base, with_tool))
     # a station that is bumped tilts, too: about where it was bumped, of which the step itself knows nothing
     tilts = LASTING.tilt_rad * _all_turn(scene.p_observed[rows] - scene.p_observed[here])
 
     def carried(late: Array) -> float:
         """Log evidence of a step, straight or with a tilt, that the readings marked by 1 have, (rows,)."""
-        straight = _beside_poses(mean - late[:, None] * d, grounds, again)
-        tilted = tuple(np.concatenate([g, late[:, None, None] * tilts], axis=2) for g in grounds)
-        return float(np.logaddexp(straight, _beside_poses(mean - late[:, None] * d, tilted, again)) - np.log(2.0))
+        left = mean - late[:, None] * d
+        tilted = tuple(np.concatenate([g, late[:, None, None] * tilts], axis=2) for g in (plain, drifting))
+        return float(np.logaddexp(_log_evidence(left, grounds), _log_evidence(left, _beside_poses(tilted, again))) - np.log(2.0))
 
     mine, others = carried(after.astype(float)), max(once, turns)
     for late in _later(begin[used], moment):
@@ -99,16 +97,19 @@ def _same_pose(pose: IntArray) -> Array:
     return np.asarray(np.einsum("np,ij->nipj", mine, np.eye(3)).reshape(len(pose), 3, -1))
 
 
-def _beside_poses(values: Array, grounds: tuple[Array, ...], again: Array) -> float:
-    """Log evidence of readings under columns, of several sets that are equally likely, and a place of each pose, whose size is
-    left open between none and millimetres.
+def _beside_poses(sets: tuple[Array, ...], again: Array) -> list[Scattered]:
+    """Columns, of several sets that are equally likely, with a place of each pose whose size is left open between none and
+    millimetres.
 
     Where nothing was measured twice such a place is scatter, which is left open anyway.
     """
-    levels = POSE_LEVELS if again.shape[2] < 3 * len(values) else POSE_LEVELS[:1]
-    sizes = LASTING.pose_m * levels
-    found = [fitted(values, np.concatenate([g, size * again], axis=2))[0] for g in grounds for size in sizes]
-    return float(np.logaddexp.reduce(found) - np.log(len(found)))
+    levels = POSE_LEVELS if again.shape[2] < 3 * len(again) else POSE_LEVELS[:1]
+    return [Scattered(np.concatenate([c, LASTING.pose_m * size * again], axis=2)) for c in sets for size in levels]
+
+
+def _log_evidence(values: Array, grounds: list[Scattered]) -> float:
+    """Log evidence of readings, (rows, 3), m, under columns that are equally likely."""
+    return float(np.logaddexp.reduce([g.log_evidence(values) for g in grounds]) - np.log(len(grounds)))
 
 
 def _blocks(pose: IntArray, repeat: IntArray, stamp: Array, seen: Array) -> tuple[IntArray, Array, Array, Array]:
@@ -157,19 +158,3 @@ def _course(study: Study, rows: IntArray) -> Array:
 def _all_turn(p: Array) -> Array:
     """What places in base_link move by if all turn about its origin, for each axis and radian, (n, 3, 3), m."""
     return np.asarray(np.cross(np.eye(3)[None], p[:, None]).swapaxes(1, 2))
-
-
-def fitted(values: Array, columns: Array) -> tuple[float, Array]:
-    """Log evidence of readings, (rows, 3), m, under columns in standard deviations, (rows, 3, p), m, and scatter of unknown size;
-    and the values of the columns, (p,)."""
-    A, b = columns.reshape(-1, columns.shape[2]), values.ravel()
-    G, h, pose = A.T @ A, A.T @ b, np.repeat(np.arange(len(values)), 3)
-    free = np.full(A.shape[1], np.inf)
-    block = Block(A, -free, free, np.ones(A.shape[1]))
-    tried = []
-    for level in LEVELS:  # what columns may have does not grow with the scatter
-        bench = Bench(b / level, pose, NoisePrior(dof=KNOWN))
-        found = bench.posterior(block, products=(G / level**2, h / level**2))
-        tried.append((found.log_evidence - len(b) * np.log(level), found.x))
-    most = max(tried, key=lambda t: t[0])
-    return float(np.logaddexp.reduce([e for e, _ in tried]) - np.log(len(LEVELS))), most[1]

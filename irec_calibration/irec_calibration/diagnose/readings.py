@@ -19,8 +19,9 @@ from ..identification.observe import beyond_controller
 from ..model import Term, displacement_of
 from ..typing import Array, IntArray
 from .evidence import Block
-from .lasting import LASTING, fitted, usually_beyond
+from .lasting import LASTING, usually_beyond
 from .priors import FACTORS
+from .scatter import Scattered
 from .settings import SETTINGS
 from .study import Study
 from .tool_weight import odds_at_references
@@ -47,7 +48,11 @@ class Readings:
     @cached_property
     def log_evidence(self) -> float:
         """Without any further cause."""
-        return fitted(self.values, self.ground)[0]
+        return Scattered(self.ground).log_evidence(self.values)
+
+    def beside(self, columns: Array) -> Scattered:
+        """With further columns, (rows, 3, p), m."""
+        return Scattered(np.concatenate([self.ground, columns], axis=2))
 
 
 def readings_of(study: Study, effect: Effect) -> Readings | None:
@@ -118,7 +123,7 @@ def carried(study: Study, term: Term) -> float:
     errors = np.array([min(e, fitted_errors.get(p.name, np.inf)) for e, p in zip(errors, parameters, strict=True)])
     moved = displacement_of(term, scene)[rows]
     within = (term.effect.regressor(scene, theta)[rows] * errors)[:, :, errors > 0.0]
-    with_it, x = fitted(known.values - moved, np.concatenate([known.ground, within], axis=2))
+    with_it, x = known.beside(within).fitted(known.values - moved)
     odds = with_it - known.log_evidence
     # something else moves the readings, where that would be far from the value that differences show
     elsewhere = np.abs(x[known.ground.shape[2] :]).max(initial=0.0) > LASTING.farthest
@@ -182,7 +187,7 @@ def _with_any_of_this_order(study: Study, effect: Effect, known: Readings, theta
     parameters that differences show, or of all."""
     own = _any_of_this_order(study, effect, theta, known.rows)
     some = (columns for columns in (own, own[:, :, theta != 0.0]) if columns.shape[2])
-    odds = [fitted(known.values, np.concatenate([known.ground, c], axis=2))[0] - known.log_evidence for c in some]
+    odds = [known.beside(c).log_evidence(known.values) - known.log_evidence for c in some]
     return float(np.logaddexp.reduce(odds) - np.log(len(odds))) if odds else 0.0
 
 
@@ -204,7 +209,7 @@ def by_readings(study: Study, effect: Effect) -> tuple[float, Array]:
     parameters = effect.parameters(study.ready)
     scale = WIDEST * np.array([p.scale * p.prior_width for p in parameters])
     own = effect.regressor(study.ready, np.zeros(len(parameters)))[known.rows] * scale
-    with_it, x = fitted(known.values, np.concatenate([known.ground, own], axis=2))
+    with_it, x = known.beside(own).fitted(known.values)
     odds = with_it - known.log_evidence
     return odds if known.prove else min(odds, 0.0), x[known.ground.shape[2] :] * scale
 
