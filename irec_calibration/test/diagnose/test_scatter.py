@@ -30,7 +30,7 @@ def test_the_values_of_the_columns_are_found_beside_the_scatter() -> None:
 
 def test_large_columns_beside_small_scatter_lose_no_digits() -> None:
     rng = np.random.default_rng(3)
-    A = np.concatenate([np.tile(np.eye(3), (40, 1, 1)), 1e-4 * rng.normal(size=(40, 3, 4))], axis=2)  # a metre and a tenth of a mm
+    A = np.concatenate([np.tile(np.eye(3), (40, 1, 1)), 1e-4 * rng.normal(size=(40, 3, 4))], axis=2)
     values = np.array([0.7, -0.4, 0.2]) + A[:, :, 3:] @ np.ones(4) + rng.normal(0.0, 2e-5, (40, 3))
     with_all, without = (Scattered(A[:, :, :n]).log_evidence(values) for n in (7, 3))
     np.testing.assert_allclose(Scattered(A).fitted(values)[1][3:], 1.0, atol=0.1)
