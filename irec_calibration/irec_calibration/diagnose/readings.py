@@ -124,7 +124,7 @@ def carried(study: Study, term: Term) -> float:
     moved = displacement_of(term, scene)[rows]
     within = (term.effect.regressor(scene, theta)[rows] * errors)[:, :, errors > 0.0]
     with_it, x = known.beside(within).fitted(known.values - moved)
-    odds = with_it - known.log_evidence
+    odds = max(with_it - known.log_evidence, -term.effect.readings_against)
     # something else moves the readings, where that would be far from the value that differences show
     elsewhere = np.abs(x[known.ground.shape[2] :]).max(initial=0.0) > LASTING.farthest
     return min(odds, 0.0) if elsewhere or not known.prove else odds
@@ -152,9 +152,18 @@ def against(study: Study, term: Term) -> str:
     else:
         vague = term.effect.chosen_by_poses
         odds, least = carried(study, term), -(SETTINGS.nats_plainly if vague else SETTINGS.nats_to_prefer)
+        if odds < least and np.isfinite(term.effect.readings_against):
+            odds += _by_differences(study, term.effect.id)
     if odds >= least:
         return ""
     return f"the readings at the references do not have it (log odds {odds:.1f}, at least {least:g} needed)"
+
+
+def _by_differences(study: Study, effect_id: str) -> float:
+    """Log evidence of the differences for an effect of a model, everything else as likely as it is."""
+    others = [i for i, owner in enumerate(study.owners) if owner != effect_id]
+    with_it, without = (study.bench.posterior(b).log_evidence for b in (study.base, study.base.take(others)))
+    return with_it - without
 
 
 def proved(study: Study, effect: Effect) -> bool:

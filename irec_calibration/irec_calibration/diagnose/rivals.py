@@ -5,8 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 
 from ..effects.traits import Family as Alike
+from ..model import Term
 from .candidates import Option, try_option
 from .explanation import (
     Explanation,
@@ -29,6 +31,7 @@ from .lasting import lasts
 from .readings import carried, could_carry, proved
 from .remainder import grow
 from .settings import Settings
+from .study import Study
 
 Check = Callable[[], None]
 
@@ -206,9 +209,20 @@ def _takes_its_place(final: Explanation, effect_id: str, one: Explanation, other
 
 
 def _unread(final: Explanation, effect_id: str, one: Explanation, other: str) -> float:
-    """Log odds of a name over a rival by how far the readings at the references are against either, nats."""
+    """Log odds of a name over a rival by how far the readings at the references are against either, nats; none between stations
+    that are turned and a first axis that stands otherwise, which turn the same readings."""
+    if all(_turns_all(e.term(i), e.study) for e, i in ((final, effect_id), (one, other))):
+        return 0.0
     of_name, of_rival = (min(carried(e.study, e.term(i)), 0.0) for e, i in ((final, effect_id), (one, other)))
     return of_name - of_rival
+
+
+def _turns_all(term: Term, study: Study) -> bool:
+    """Whether an effect turns all that stations see of the arm alike: turned stations, or errors of the first axis alone."""
+    if isfinite(term.effect.readings_against):
+        return True
+    axes = {p.axis for p in term.effect.parameters(study.ready) if p.name in term.estimates}
+    return term.effect.chosen_by_poses and axes == {0}
 
 
 def has_a_cause_of_its_own(

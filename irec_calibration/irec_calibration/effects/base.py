@@ -117,6 +117,7 @@ class Effect(ABC):
         needs: what the scene must have: any of `time`, `order`, `temperature`, `ext`, `step`, `load`, `tracker`,
             `relaxed` (a reference row without load), `weight` (masses of the arm, where a payload's weight shows springs).
         in_readings: moves each reading of a loaded session by itself, and by far more than the differences that it is found in.
+        readings_against: nats by which the readings at the references can be against it at most.
         registers: places instruments of an absolute session; belongs to the session, not to the robot.
         evidence: where a session shows it.
         family: effects that pass for each other; None: not known (effects of users).
@@ -155,6 +156,7 @@ class Effect(ABC):
     moves_joints: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ()
     in_readings: ClassVar[bool] = False
+    readings_against: ClassVar[float] = np.inf
     registers: ClassVar[bool] = False
     evidence: ClassVar[Evidence] = Evidence.DISPLACEMENTS
     family: ClassVar[Family | None] = None

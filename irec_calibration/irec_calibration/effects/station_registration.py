@@ -19,13 +19,15 @@ AXES = ("x", "y", "z")
 USUAL_RAD = 0.6e-3
 MOST_ABOUT = 2.0  # times the RMS about other axes, by which a station is turned about one
 USUAL_ABSOLUTE_RAD = 1e-3  # where a session shows the frame itself, and not only how displacements turn
+ALL = "all stations"
 
 
 class StationRegistration(Effect):
     id = "station_registration"
     label = "station registration"
     physics = (
-        "The rotation of a tracker station in base_link is off by a small rotation vector w (true = exp(w) stated). "
+        "The rotation of a tracker station in base_link is off by a small rotation vector w (true = exp(w) stated); of several, "
+        "which were measured in one network, all may be off alike. "
         "Missing, the residual is proportional to the measured displacement and perpendicular to it."
     )
     family = Family.INSTRUMENT
@@ -34,16 +36,16 @@ class StationRegistration(Effect):
     needs_elastic = True
     needs = ("tracker",)
     in_readings = True
+    readings_against = 40.0  # chosen; sessions are known in which what was turned is the displacement alone
     usual_in = ("absolute", "loaded")
     usual_beside = 0.02  # chosen; on outside simulators 1.3 % where no station was turned, 1.9 % and more where one was
     usual_by_known = True  # a turn about the first axis may as well be that axis' zero
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
+        known = [scene.stations[s] for s in _known(scene)]  # an unknown one has its whole pose free: station_pose
+        of = [(f"_{s}", f"station {s}") for s in known] + ([("", ALL)] if len(known) > 1 else [])
         return tuple(
-            Parameter(f"w_{a}_{s}", "rad", 0.01, -1.0, 1.0, plausible=(-0.2, 0.2), group=f"station {s}")
-            for s, known in zip(scene.stations, scene.instruments.station_known, strict=True)
-            if known  # an unknown one has its whole pose free: station_pose
-            for a in AXES
+            Parameter(f"w_{a}{s}", "rad", 0.01, -1.0, 1.0, plausible=(-0.2, 0.2), group=group) for s, group in of for a in AXES
         )
 
     def regressor(self, scene: Scene, theta: Array) -> Array:
@@ -54,11 +56,13 @@ class StationRegistration(Effect):
         known = _known(scene)
         if not known:
             return turned[:, :, :0]
-        return np.concatenate([turned * (scene.station == s)[:, None, None] for s in known], axis=2)
+        of = [scene.station == s for s in known] + ([np.isin(scene.station, known)] if len(known) > 1 else [])
+        return np.concatenate([turned * rows[:, None, None] for rows in of], axis=2)
 
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
-        stations = {n.split("_", 2)[2] for n in values}
-        turned = (np.array([values.get(f"w_{a}_{s}", 0.0) for a in AXES]) for s in stations)
+        common = np.array([values.get(f"w_{a}", 0.0) for a in AXES])
+        stations = {n.split("_", 2)[2] for n in values if n.count("_") > 1}
+        turned = [common + [values.get(f"w_{a}_{s}", 0.0) for a in AXES] for s in stations] or [common]
         most = USUAL_ABSOLUTE_RAD if scene.kind == "absolute" else USUAL_RAD
         return all(float(np.sqrt(np.mean(w**2))) <= most for w in turned)
 
@@ -68,10 +72,10 @@ class StationRegistration(Effect):
         if not len(theta) or scene.kin.is_prismatic[0]:
             return ""
         axis = scene.kin.axis[0, 0]
-        turned = theta.reshape(-1, 3)
+        turned = _of_each(theta)
         about = np.median(turned @ axis)
         rest = turned - about * axis
-        surely = np.maximum(np.abs(rest) - SURELY * se.reshape(-1, 3), 0.0)
+        surely = np.maximum(np.abs(rest) - SURELY * _of_each(se), 0.0)
         beside = float(np.sqrt(np.mean(surely**2)))
         across = float(np.sqrt(0.5 * np.mean((rest**2).sum(axis=1))))  # RMS of the two directions
         return "geometry_error" if beside <= USUAL_RAD and abs(about) > MOST_ABOUT * across else ""
@@ -80,9 +84,15 @@ class StationRegistration(Effect):
         if scene.kind == "absolute" or scene.measured_from_station is None:
             return None
         turn = np.zeros((len(scene), 3))
-        for s, w in zip(_known(scene), theta.reshape(-1, 3), strict=True):
+        for s, w in zip(_known(scene), _of_each(theta), strict=True):
             turn[scene.station == s] = w
         return -np.cross(turn[:, :, None], scene.change(change.displacement), axis=1)
+
+
+def _of_each(values: Array) -> Array:
+    """Rotation vector of each station that is known, with what all have in common, (stations, 3)."""
+    of = values.reshape(-1, 3)
+    return of[:-1] + of[-1] if len(of) > 1 else of
 
 
 def _known(scene: Scene) -> list[int]:

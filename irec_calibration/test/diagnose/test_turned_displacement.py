@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions in which the measured displacement is turned, and what is read at the references is not: as the catalogue has
+`station_registration`, and as a station does that was placed by these readings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+from irec_calibration.diagnose import diagnose, start_terms
+from irec_calibration.diagnose.candidates import try_effect
+from irec_calibration.diagnose.study import prepare
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
+from irec_calibration.session import Session
+from irec_calibration.typing import Array
+from scipy.spatial.transform import Rotation
+
+
+def turned(w: Array, stations: int = 1) -> Session:
+    """A session whose displacements are turned by a rotation vector in base_link, rad, by whichever station they are seen."""
+    made = synthetic.session(31, 4)
+    reference = scene_of(made).reference
+    start = made.p_marker_in_station[np.where(reference >= 0, reference, np.arange(len(made)))]
+    R_station = made.stations[0].R_in_base
+    turn = R_station.T @ Rotation.from_rotvec(w).as_matrix() @ R_station
+    p = start + (made.p_marker_in_station - start) @ turn.T
+    several = tuple(replace(made.stations[0], name=name) for name in "ABC"[:stations])
+    return replace(made, p_marker_in_station=p, stations=several, station=made.pose % stations)
+
+
+def test_a_turn_of_all_displacements_is_named_though_no_reading_has_it() -> None:
+    verdict = diagnose(turned(np.array([0.03, -0.02, 0.0]))).verdict
+    assert verdict.effects == ("station_registration",), verdict.text
+
+
+def test_about_the_first_axis_no_geometry_error_is_named_for_it() -> None:
+    verdict = diagnose(turned(np.array([0.0, 0.0, 0.04]))).verdict
+    assert "geometry_error" not in verdict.effects, verdict.text
+    assert "station_registration" in (*verdict.effects, *(i for of in verdict.one_of for i in of))
+
+
+def test_a_small_turn_is_not_named_against_all_readings() -> None:
+    verdict = diagnose(turned(np.array([3e-3, -2e-3, 0.0]))).verdict
+    assert verdict.effects == (), verdict.text
+
+
+@pytest.mark.parametrize("stations", [2, 3])
+def test_stations_that_are_turned_alike_are_turned_together(stations: int) -> None:
+    session = turned(np.array([0.03, -0.02, 0.01]), stations)
+    trial = try_effect(prepare(session, start_terms(session)), find_effect("station_registration"))
+    assert trial is not None
+    assert trial.best.groups == ("all stations",)
+
+
+def test_one_station_has_no_turn_beside_its_own() -> None:
+    groups = {p.group for p in find_effect("station_registration").parameters(scene_of(turned(np.zeros(3))))}
+    assert groups == {"station A"}
