@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
 
+from ..effects.station_registration import StationRegistration
 from ..effects.traits import Family as Alike
 from ..model import Term
 from .candidates import Option, try_option
@@ -219,7 +219,7 @@ def _unread(final: Explanation, effect_id: str, one: Explanation, other: str) ->
 
 def _turns_all(term: Term, study: Study) -> bool:
     """Whether an effect turns all that stations see of the arm alike: turned stations, or errors of the first axis alone."""
-    if isfinite(term.effect.readings_against):
+    if isinstance(term.effect, StationRegistration):
         return True
     axes = {p.axis for p in term.effect.parameters(study.ready) if p.name in term.estimates}
     return term.effect.chosen_by_poses and axes == {0}

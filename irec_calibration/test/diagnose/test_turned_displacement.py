@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions in which the measured displacement is turned, and what is read at the references is not: as the catalogue has
-`station_registration`, and as a station does that was placed by these readings."""
+"""Sessions in which the measured displacement is turned or scaled, and what is read at the references is not: as the catalogue
+has `station_registration` and `tracker_scale`, and as a station does that was placed by these readings."""
 
 from __future__ import annotations
 
@@ -19,16 +19,21 @@ from irec_calibration.typing import Array
 from scipy.spatial.transform import Rotation
 
 
-def turned(w: Array, stations: int = 1) -> Session:
-    """A session whose displacements are turned by a rotation vector in base_link, rad, by whichever station they are seen."""
+def with_displacement(by: Array) -> Session:
+    """A session whose displacements in base_link are multiplied by a matrix."""
     made = synthetic.session(31, 4)
     reference = scene_of(made).reference
     start = made.p_marker_in_station[np.where(reference >= 0, reference, np.arange(len(made)))]
     R_station = made.stations[0].R_in_base
-    turn = R_station.T @ Rotation.from_rotvec(w).as_matrix() @ R_station
-    p = start + (made.p_marker_in_station - start) @ turn.T
+    p = start + (made.p_marker_in_station - start) @ (R_station.T @ by @ R_station).T
+    return replace(made, p_marker_in_station=p)
+
+
+def turned(w: Array, stations: int = 1) -> Session:
+    """A session whose displacements are turned by a rotation vector in base_link, rad, by whichever station they are seen."""
+    made = with_displacement(Rotation.from_rotvec(w).as_matrix())
     several = tuple(replace(made.stations[0], name=name) for name in "ABC"[:stations])
-    return replace(made, p_marker_in_station=p, stations=several, station=made.pose % stations)
+    return replace(made, stations=several, station=made.pose % stations)
 
 
 def test_a_turn_of_all_displacements_is_named_though_no_reading_has_it() -> None:
@@ -40,6 +45,11 @@ def test_about_the_first_axis_no_geometry_error_is_named_for_it() -> None:
     verdict = diagnose(turned(np.array([0.0, 0.0, 0.04]))).verdict
     assert "geometry_error" not in verdict.effects, verdict.text
     assert "station_registration" in (*verdict.effects, *(i for of in verdict.one_of for i in of))
+
+
+def test_a_scale_of_all_displacements_is_named_though_no_reading_has_it() -> None:
+    verdict = diagnose(with_displacement(1.05 * np.eye(3))).verdict
+    assert verdict.effects == ("tracker_scale",), verdict.text
 
 
 def test_a_small_turn_is_not_named_against_all_readings() -> None:
