@@ -28,13 +28,13 @@ def moved_tcp(session: Session) -> Array:
     """Deflection of the TCP by the springs of the synthetic robot, (n, 3), m."""
     kin, scene = session.robot.kinematics(session.q), scene_of(session)
     u = np.zeros((len(session), 3))
-    for axis, c, origin in _springs(kin, synthetic.TRANSVERSE):
+    for axis, c, origin in springs(kin, synthetic.TRANSVERSE):
         lever = kin.p_tcp - origin
         u += c * np.einsum("ni,ni->n", axis, np.cross(lever, scene.force))[:, None] * np.cross(axis, lever)
     return u
 
 
-def _springs(kin: Kinematics, transverse: Array) -> Iterator[tuple[Array, float, Array]]:
+def springs(kin: Kinematics, transverse: Array) -> Iterator[tuple[Array, float, Array]]:
     """Axis, compliance and origin of each spring."""
     for k in range(6):
         yield kin.axis[:, k], synthetic.COMPLIANCE[k], kin.origin[:, k]
@@ -59,7 +59,7 @@ def upright(seed: int, z: float, name: str = "marker") -> Session:
     kin, scene = made.robot.kinematics(made.q), scene_of(made)
     shift = np.einsum("nij,j->ni", kin.R_tool, np.array([0.0, 0.0, z]) - np.array(made.markers[0].xyz))
     moved = shift.copy()  # what turns the tool turns the way from the one place to the other
-    for axis, c, origin in _springs(kin, SOFT_TOOL):
+    for axis, c, origin in springs(kin, SOFT_TOOL):
         angle = c * np.einsum("ni,ni->n", axis, np.cross(kin.p_tcp - origin, scene.force))
         moved += np.cross(angle[:, None] * axis, shift)
     seen = made.p_marker_in_station + moved @ made.stations[0].R_in_base

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions in which the measured displacement is turned or scaled, and what is read at the references is not: as the catalogue
-has `station_registration` and `tracker_scale`, and as a station does that was placed by these readings."""
+"""Sessions in which the measured displacement is turned or scaled, or has what the tool's rotation moves a marker by that sits
+elsewhere, and what is read at the references has nothing of it: as the catalogue has `station_registration`, `tracker_scale` and
+`marker_offset`, and as a station does that was placed by these readings."""
 
 from __future__ import annotations
 
@@ -17,6 +18,7 @@ from irec_calibration.effects.of_session import scene_of
 from irec_calibration.session import Session
 from irec_calibration.typing import Array
 from scipy.spatial.transform import Rotation
+from test_expected_error import springs
 
 
 def with_displacement(by: Array) -> Session:
@@ -50,6 +52,18 @@ def test_about_the_first_axis_no_geometry_error_is_named_for_it() -> None:
 def test_a_scale_of_all_displacements_is_named_though_no_reading_has_it() -> None:
     verdict = diagnose(with_displacement(1.05 * np.eye(3))).verdict
     assert verdict.effects == ("tracker_scale",), verdict.text
+
+
+def test_a_marker_elsewhere_is_named_where_displacements_alone_have_it() -> None:
+    made = synthetic.session(31, 4, approach=0.0)
+    scene = scene_of(made)
+    turned = np.zeros((len(made), 3))
+    for axis, c, origin in springs(scene.kin, synthetic.TRANSVERSE):
+        turned += c * np.einsum("ni,ni->n", axis, np.cross(scene.p_tcp - origin, scene.force))[:, None] * axis
+    moved = np.cross(turned, scene.kin.R_tool @ np.array([0.1, 0.0, 0.1]))
+    session = replace(made, p_marker_in_station=made.p_marker_in_station + moved @ made.stations[0].R_in_base)
+    verdict = diagnose(session).verdict
+    assert verdict.effects == ("marker_offset",), verdict.text
 
 
 def test_a_small_turn_is_not_named_against_all_readings() -> None:
