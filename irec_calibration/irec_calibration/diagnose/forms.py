@@ -49,7 +49,7 @@ NO_FORMS = Forms()
 
 def forms_of(term: Term, scene: Scene) -> Forms:
     """Structures that an effect is a special form of."""
-    if term.effect.cause is Cause.TIME and term.effect.family is Alike.TIME:
+    if is_drift(term.effect):
         return Forms(drifts=True)
     axes, none = _axes(term, scene), frozenset[int]()
     law = term.effect.family is Alike.TORQUE_LAW
@@ -58,6 +58,11 @@ def forms_of(term: Term, scene: Scene) -> Forms:
     histories = axes if law and "order" in term.effect.needs and scene.kind == "loaded" else none
     of_torque = axes if law and not term.effect.by_angle else none
     return Forms(of_torque, turns=turns, steps=steps(term, scene), angles=angles, histories=histories)
+
+
+def is_drift(effect: Effect) -> bool:
+    """Whether an effect passes with time or a temperature, whatever the force."""
+    return effect.cause is Cause.TIME and effect.family is Alike.TIME
 
 
 def _by_own_angle(structure: Structure) -> int | None:

@@ -17,6 +17,7 @@ from ..identification.validation import gain
 from ..model import Term
 from ..session.data import Session
 from .assessment import Assessment
+from .forms import is_drift
 from .held_out import Validated, held_out, validated
 from .laws import laws
 from .settings import SETTINGS
@@ -79,23 +80,26 @@ def unproven(session: Session, assessment: Assessment, after: Validated, check: 
 
     Much of what real robots have has none, and an effect with many parts may describe some of it. In a loaded session that is a
     name beside structure that is left, unless it explains far more of other poses than that; in an absolute one, a name without
-    which other poses are predicted as well.
+    which other poses are predicted as well. Where a loaded session wanders by far more than an instrument does, a drift that
+    explains less than wanders may be some of that, whatever is proven of it.
 
     Args:
         after: the model with all that was added.
     """
     out = []
     for name in assessment.names:
-        parts = assessment.parts.get(name)
-        if parts is None or parts.proven or find_effect(name).compliance_of:
+        parts, effect = assessment.parts.get(name), find_effect(name)
+        if parts is None or effect.compliance_of:
             continue
-        if session.kind == "loaded" and (parts.one_of or not assessment.evidence):
+        wanders = "wandering" in assessment.evidence and is_drift(effect)
+        if not wanders and (parts.proven or (session.kind == "loaded" and (parts.one_of or not assessment.evidence))):
             continue
         check()
         without = validated(session, [t for t in after.study.terms if t.effect.id != name]).held_out.rms_m
         if session.kind == "loaded":
             explains = float(np.sqrt(max(without**2 - after.held_out.rms_m**2, 0.0)))
-            falls = explains <= SETTINGS.unproven_beside * assessment.remaining_m or not assessment.remaining_m
+            least = assessment.remaining_m * (1.0 if wanders else SETTINGS.unproven_beside)
+            falls = explains <= least or not assessment.remaining_m
         else:
             falls = after.held_out.rms_m > (1.0 - SETTINGS.absolute_gain) * without
         out += [name] if falls else []

@@ -78,11 +78,8 @@ def verdict_of(
     parts += _rest(assessment)
     parts += _form(shown)
     parts += [f"The improved model has {_label(i)} as every robot has it: no cause to look for." for i in assessment.usual]
-    alone = "structure that has no name is left beside it"
-    doubt = alone if study.ready.kind == "loaded" else "without it other poses are predicted as well"
     parts += [
-        f"The improved model has {_label(i)} too, which is no diagnosis: no part of it is proven, and {doubt}."
-        for i in assessment.unproven
+        f"The improved model has {_label(i)} too, which is no diagnosis: {_doubt(assessment, i)}." for i in assessment.unproven
     ]
     parts += _stands_in(shown)
     parts += _misplaced(assessment.study)
@@ -187,6 +184,15 @@ def _misplaced(study: Study) -> list[str]:
         for name, d in off.items()
         if d > SETTINGS.misplaced_m
     ]
+
+
+def _doubt(assessment: Assessment, effect_id: str) -> str:
+    """Why an effect of the improved model is no diagnosis."""
+    if effect_id in assessment.parts and assessment.parts[effect_id].proven:
+        return "readings wander by more than it explains"
+    loaded = assessment.study.ready.kind == "loaded"
+    beside = "structure that has no name is left beside it" if loaded else "without it other poses are predicted as well"
+    return f"no part of it is proven, and {beside}"
 
 
 def _form(shown: Shown) -> list[str]:

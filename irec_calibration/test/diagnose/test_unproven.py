@@ -56,6 +56,20 @@ def test_without_a_proven_part_a_name_has_to_lower_the_error_on_other_poses_by_f
     assert set(asked) <= {("joint_torsion",)}  # that axes give way is no question
 
 
+@pytest.mark.parametrize(
+    ("without", "evidence", "fallen"),
+    [(100.3e-6, ("wandering",), ("thermal_drift",)), (101e-6, ("wandering",), ()), (100.3e-6, ("repeats",), ())],
+)
+def test_a_drift_is_no_name_where_readings_wander_by_more_than_it_explains(
+    monkeypatch: pytest.MonkeyPatch, without: float, evidence: Any, fallen: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr(shown, "validated", lambda session, terms: model(*(t.effect.id for t in terms), error=without))
+    known = {"thermal_drift": Parts(proven=("time",)), "sensor_gain": Parts(proven=("gain",))}
+    assessment: Any = SimpleNamespace(names=("thermal_drift", "sensor_gain"), parts=known, evidence=evidence, remaining_m=10e-6)
+    after = model("thermal_drift", "sensor_gain", error=100e-6)
+    assert shown.unproven(SimpleNamespace(kind="loaded"), assessment, after, lambda: None) == fallen
+
+
 @pytest.mark.parametrize(("lost", "missed"), [(3.0, False), (30.0, True), (-5.0, False)])
 def test_parts_are_missed_where_the_fitted_model_explains_much_less_without_them(lost: float, missed: bool) -> None:
     def fitted(log_evidence: float) -> Any:
