@@ -221,8 +221,9 @@ def _turns_all(term: Term, study: Study) -> bool:
     """Whether an effect turns all that stations see of the arm alike: turned stations, or errors of the first axis alone."""
     if isinstance(term.effect, StationRegistration):
         return True
-    axes = {p.axis for p in term.effect.parameters(study.ready) if p.name in term.estimates}
-    return term.effect.chosen_by_poses and axes == {0}
+    if not term.effect.chosen_by_poses:
+        return False
+    return {p.axis for p in term.effect.parameters(study.ready) if p.name in term.estimates} == {0}
 
 
 def has_a_cause_of_its_own(

@@ -18,7 +18,10 @@ from irec_calibration.diagnose.remainder import grow
 from irec_calibration.diagnose.rivals import as_they_count, has_a_cause_of_its_own, rivals_of
 from irec_calibration.diagnose.settings import SETTINGS
 from irec_calibration.diagnose.study import prepare
+from irec_calibration.effects import find_effect
+from irec_calibration.effects.of_session import scene_of
 from irec_calibration.effects.scene import Scene
+from irec_calibration.model import Estimate, Term
 from irec_calibration.typing import Array
 from test_diagnose import play_of_axis_4
 
@@ -89,9 +92,22 @@ def test_an_effect_that_explains_as_much_beside_a_name_has_a_cause_of_its_own(hi
 def test_readings_that_are_against_a_rival_speak_for_the_name(
     monkeypatch: pytest.MonkeyPatch, of_name: float, of_rival: float, odds: float
 ) -> None:
-    monkeypatch.setattr(rivals, "carried", lambda study, term: {"sensor_gain": of_name, "geometry_error": of_rival}[term])
-    one: Any = SimpleNamespace(study=None, term=lambda i: i)
+    read = {"sensor_gain": of_name, "geometry_error": of_rival}
+    monkeypatch.setattr(rivals, "carried", lambda study, term: read[term.effect.id])
+    one: Any = SimpleNamespace(study=None, term=lambda i: Term(find_effect(i)))
     assert rivals._unread(one, "sensor_gain", one, "geometry_error") == odds
+
+
+@pytest.mark.parametrize(("errors", "odds"), [(("zero_1", "tilt_1a"), 0.0), (("zero_1", "zero_2"), -40.0)])
+def test_readings_do_not_tell_turned_stations_from_a_first_axis_that_stands_otherwise(
+    monkeypatch: pytest.MonkeyPatch, errors: tuple[str, ...], odds: float
+) -> None:
+    read = {"station_registration": -40.0, "geometry_error": 0.0}
+    monkeypatch.setattr(rivals, "carried", lambda study, term: read[term.effect.id])
+    scene = scene_of(synthetic.session(4, 1))
+    estimates = {"station_registration": {}, "geometry_error": {n: Estimate(0.01) for n in errors}}
+    one: Any = SimpleNamespace(study=SimpleNamespace(ready=scene), term=lambda i: Term(find_effect(i), estimates[i]))
+    assert rivals._unread(one, "station_registration", one, "geometry_error") == odds
 
 
 PLAY, SOFT = "joint_backlash", "joint_stiffening"
