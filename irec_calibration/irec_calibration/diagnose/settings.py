@@ -209,8 +209,8 @@ class Settings(Thresholds):
     )  # fmt: skip
     several_as_a_whole: int = threshold(
         2, "poses", "that stand out in all load cases, each by itself, which are hardly accidents",
-        "of 9 sessions of three outside simulators with two such poses, 8 had a cause outside of the catalogue, one a station"
-        " that was moved twice",
+        "of 9 sessions of three outside simulators with two such poses, 8 had a cause outside of the catalogue, one a bumped"
+        " station",
     )  # fmt: skip
     nats_of_accident: float = threshold(
         40.0, "nats", "evidence that a row or a reference stands out, from which it is an accident before causes are weighed",
