@@ -18,6 +18,7 @@ from .study import Study
 DEGREE = 3  # of a curve over one variable
 BEARS = 1e-4  # of what the most loaded axis bears, each by its rated torque; less is rounding, and a law of it a law of nothing
 MOST = 1.2  # of the largest value that is seen: no law is carried on beyond
+TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment or torque over which a play is taken up
 SEEN_AT, TURNS = ("marker_x", "marker_y", "marker_z"), 4  # columns of a reading; waves per turn of an encoder that are tried
 IN_BASE = "constant in the base frame"
 TURNING, COMPLIANCE = "turning the axes", "as compliance of the axes"
@@ -90,6 +91,11 @@ def curve(values: Array, seen: Array, degree: int = DEGREE) -> Array:
     u = np.clip((values - middle) / half, -MOST, MOST)
     out: Array = legendre.legvander(u, degree)[:, 1:]
     return out
+
+
+def waves(angle: Array, often: int) -> Array:
+    """Sine and cosine of an angle, (n,), rad, and of its multiples up to `often`, (n, 2 often)."""
+    return np.stack([f(n * angle) for n in range(1, often + 1) for f in (np.sin, np.cos)], axis=1)
 
 
 def shapes(study: Study) -> dict[str, Array]:
@@ -191,7 +197,7 @@ def two_variables(study: Study) -> Iterator[Direction]:
         rotary = not bool(scene.kin.is_prismatic[k])
         turn = curve(q[:, k], q[rows, k])
         if rotary:
-            turn = np.stack([f(n * q[:, k]) for n in (1, 2) for f in (np.sin, np.cos)], axis=1)
+            turn = waves(q[:, k], 2)
         yield Direction(
             f"as compliance of axis {k + 1}, over its turn",
             (f"joint_{k + 1}", f"tau_{k + 1}"),
@@ -288,8 +294,7 @@ def readings(study: Study) -> Iterator[Direction]:
         ("horizontal", np.arctan2(sight[:, 1], sight[:, 0]), around),
         ("vertical", np.arcsin(np.clip(sight[:, 2], -1.0, 1.0)), np.cross(sight, around)),
     ):
-        turns = np.stack([f(n * angle) for n in range(1, TURNS + 1) for f in (np.sin, np.cos)], axis=1)
-        columns = (far[:, None] * across)[:, :, None] * turns[:, None, :]
+        columns = (far[:, None] * across)[:, :, None] * waves(angle, TURNS)[:, None, :]
         yield Direction(f"as if the instrument read {words} angles wrongly", SEEN_AT, scaled(columns, rows))
 
 

@@ -20,7 +20,7 @@ from ..effects.formula import FormulaEffect, size_of_load
 from ..effects.scene import Scene
 from ..typing import Array, BoolArray
 from .columns import block_columns
-from .directions import TYPICAL_DISPLACEMENT
+from .directions import TAKEN_UP, TYPICAL_DISPLACEMENT
 from .evidence import Block
 from .family import Family, Structure
 from .ground import Ground
@@ -28,7 +28,6 @@ from .settings import SETTINGS, Settings
 from .study import Study
 
 XYZ, ACROSS = "xyz", "ab"
-TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest torque over which a play is taken up
 NARROW = 2.0  # rad, over which sine and cosine of a turn and of half a turn are hardly told apart, and go wild beyond
 THERE = 1e-3  # share of the largest force or torque of its kind below which one is not there
 NAMES = "abcdeghklm"  # of parameters

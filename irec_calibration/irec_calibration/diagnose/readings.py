@@ -145,18 +145,20 @@ def against(study: Study, term: Term) -> str:
     They are against it by what a name needs over another (`nats_to_prefer`); against a tool weight by any odds, since in
     differences it shows by what it changes in the springs only, which others do too. Of an effect of whose values differences
     know some combinations only, other causes that are still missing bend what they show: these readings are against it where
-    they are so plainly (`nats_plainly`).
+    they are so plainly (`nats_plainly`). Where readings can be against an effect by so much only (`Effect.readings_against`),
+    what differences show may outweigh them.
     """
+    also = ""
     if term.effect.evidence is Evidence.REFERENCE_READINGS:
         odds, least = _weighed(study, term), 0.0
     else:
         vague = term.effect.chosen_by_poses
         odds, least = carried(study, term), -(SETTINGS.nats_plainly if vague else SETTINGS.nats_to_prefer)
         if odds < least and np.isfinite(term.effect.readings_against):
-            odds += _by_differences(study, term.effect.id)
+            odds, also = odds + _by_differences(study, term.effect.id), " with those of the differences"
     if odds >= least:
         return ""
-    return f"the readings at the references do not have it (log odds {odds:.1f}, at least {least:g} needed)"
+    return f"the readings at the references do not have it (log odds {odds:.1f}{also}, at least {least:g} needed)"
 
 
 def _by_differences(study: Study, effect_id: str) -> float:

@@ -9,17 +9,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..typing import Array
-from .directions import Direction, scaled, under_load
+from .directions import TAKEN_UP, Direction, scaled, under_load, waves
 from .study import Study
 
-TAKEN_UP = (0.03, 0.1, 0.3)  # share of the largest moment over which a play is taken up
 LEAST = 1e-6  # N m; a moment that is smaller is rounding
 AZIMUTHS = np.deg2rad([0.0, 45.0, 90.0, 135.0])  # of the axes in the xy plane of base_link about which the ground may give way
 
 
 def tilts(study: Study) -> Iterator[Direction]:
-    """What tilts across an axis or on the ground by any curve of the moment about that direction, or about an axis by its angle
-    too: what a worn bearing does, one that is softer over a part of its turn, and a base whose bolts are not all tight."""
+    """A link that tilts across its axis by any curve of the moment about that direction, or by the moment and the angle of the
+    axis: what a worn bearing does, and one that is softer over a part of its turn."""
     scene, rows = study.ready, study.observation.rows
     on = under_load(scene)
     across, moment = scaled(scene.V, rows), scene.load_torque_virtual()
@@ -37,19 +36,20 @@ def tilts(study: Study) -> Iterator[Direction]:
         yield Direction(words, names, own * on * shape[:, None, :], is_tilt=True)
         words = f"tilting the link of axis {k + 1} across it, by its whole moment, gravity included"
         yield Direction(words, names, own * _over(whole[:, i], whole[rows, i])[:, None, :], is_tilt=True)
-        if scene.kind == "loaded" and not scene.kin.is_prismatic[k]:  # where springs may be missing yet it would stand for them
-            turn = np.stack([f(n * scene.q[:, k]) for n in (1, 2) for f in (np.sin, np.cos)], axis=1)
+        # in an absolute session springs may be missing yet, and it would stand for them
+        if scene.kind == "loaded" and not scene.kin.is_prismatic[k]:
+            turn = waves(scene.q[:, k], 2)
             words = f"tilting the link of axis {k + 1} across it, by its moment and over its turn"
             yield Direction(words, (f"joint_{k + 1}", "load_case"), own * on * (t[:, None] * turn)[:, None, :], is_tilt=True)
 
 
 def on_the_ground(study: Study) -> Iterator[Direction]:
-    """Base_link tilting by any curve of the moment about some axes in its plane, gravity included; in a loaded session, as under
-    the weight alone much else passes for it."""
+    """Base_link that tilts by any curve of the moment about some axes in its plane, gravity included, as a base does whose bolts
+    are not all tight; in a loaded session, as under the weight alone much else passes for it."""
     scene, rows = study.ready, study.observation.rows
     if scene.kind != "loaded":
         return
-    moment = np.cross(scene.p_tcp, scene.force) + scene.torque + scene.gravity.wrench_at_base[1]
+    moment = scene.load_wrench_at_base()[1] + scene.gravity.wrench_at_base[1]
     for azimuth in AZIMUTHS:
         axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
         about = moment @ axis

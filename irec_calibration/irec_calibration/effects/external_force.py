@@ -59,12 +59,11 @@ class ExternalForce(Effect):
         if scene.elastic is None:
             return np.zeros((len(scene), 3, len(self.parameters(scene))))
         on_arm, pack = wrenches(scene)
-        of_pack = np.zeros((len(scene), 3, pack.shape[2])) if scene.elastic.of_wrist is None else scene.elastic.of_wrist @ pack
         place, cell, hose, press = (values_of(scene, theta, group) for group in SHAPED)
         by_place = scene.elastic.compliance @ np.concatenate([to_place(scene, place), moored(scene, cell)], axis=2)
-        by_hose = np.concatenate([taut(scene, hose), taut(scene, press, pressed=True)], axis=2)
-        of_wrist = scene.elastic.of_wrist
-        by_hose = np.zeros((len(scene), 3, by_hose.shape[2])) if of_wrist is None else of_wrist @ by_hose
+        between = np.concatenate([pack, taut(scene, hose), taut(scene, press, pressed=True)], axis=2)
+        of_wrist = np.zeros((len(scene), 3, 6)) if scene.elastic.of_wrist is None else scene.elastic.of_wrist
+        of_pack, by_hose = np.split(of_wrist @ between, [pack.shape[2]], axis=2)
         return np.concatenate([scene.elastic.compliance @ on_arm, of_pack, by_place, by_hose], axis=2)
 
     def why_impossible(self, values: Mapping[str, tuple[float, float]], compliance: Mapping[str, float], scene: Scene) -> str:

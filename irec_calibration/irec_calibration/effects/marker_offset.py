@@ -27,7 +27,7 @@ class MarkerOffset(Effect):
     needs_elastic = True
     needs = ("tracker",)
     in_readings = True
-    readings_against = 40.0  # chosen, as of `station_registration`
+    readings_against = 40.0  # nats; chosen, as of `station_registration`
     usual_visible = 0.006  # as `geometry_error`, of which it is a form
     special_of = "geometry_error"  # a last link of another length, beside which that joint's axis may lie otherwise
 

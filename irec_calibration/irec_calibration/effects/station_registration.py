@@ -36,7 +36,7 @@ class StationRegistration(Effect):
     needs_elastic = True
     needs = ("tracker",)
     in_readings = True
-    readings_against = 40.0  # chosen; sessions are known in which what was turned is the displacement alone
+    readings_against = 40.0  # nats; chosen: sessions are known in which what was turned is the displacement alone
     usual_in = ("absolute", "loaded")
     usual_beside = 0.02  # chosen; on outside simulators 1.3 % where no station was turned, 1.9 % and more where one was
     usual_by_known = True  # a turn about the first axis may as well be that axis' zero
@@ -62,7 +62,7 @@ class StationRegistration(Effect):
     def is_usual(self, values: Mapping[str, float], share: float, scene: Scene) -> bool:
         common = np.array([values.get(f"w_{a}", 0.0) for a in AXES])
         stations = {n.split("_", 2)[2] for n in values if n.count("_") > 1}
-        turned = [common + [values.get(f"w_{a}_{s}", 0.0) for a in AXES] for s in stations] or [common]
+        turned = [common, *(common + [values.get(f"w_{a}_{s}", 0.0) for a in AXES] for s in stations)]
         most = USUAL_ABSOLUTE_RAD if scene.kind == "absolute" else USUAL_RAD
         return all(float(np.sqrt(np.mean(w**2))) <= most for w in turned)
 

@@ -33,7 +33,7 @@ class TrackerScale(Effect):
     needs_elastic = True
     needs = ("tracker",)
     in_readings = True
-    readings_against = 40.0  # chosen, as of `station_registration`
+    readings_against = 40.0  # nats; chosen, as of `station_registration`
     usual_in = ("absolute",)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:

@@ -122,4 +122,5 @@ def test_how_far_two_poses_are_off_is_no_size_of_the_noise() -> None:
 
     quiet, shaken = (diagnose(synthetic.session(31, 2, extra=extra)) for extra in (None, off))
     assert shaken.verdict.evidence == ("readings_that_stand_out",), shaken.verdict.text
+    assert shaken.verdict.depends_on
     assert shaken.noise.inferred_m < 1.3 * quiet.noise.inferred_m

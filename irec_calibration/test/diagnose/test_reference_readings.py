@@ -84,7 +84,9 @@ def test_what_is_found_in_differences_alone_is_no_error_of_the_instrument(effect
     large = {n: Estimate(0.05, 0.005) for n in fitted.estimates}
     term = Term(fitted.effect, large)
     assert carried(study, term) < -SETTINGS.nats_to_name
-    assert "readings at the references do not have it" in implausible(explanation(study, term), effect)
+    said = implausible(explanation(study, term), effect)
+    assert "readings at the references do not have it" in said
+    assert "with those of the differences" in said
     assert shown_by_readings(explanation(study, term), effect) == 0.0
 
 

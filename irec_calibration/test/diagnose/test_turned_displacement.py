@@ -79,6 +79,13 @@ def test_stations_that_are_turned_alike_are_turned_together(stations: int) -> No
     assert trial.best.groups == ("all stations",)
 
 
+@pytest.mark.parametrize(("common", "is_usual"), [(0.0, True), (3e-4, True), (3e-3, False)])
+def test_a_turn_of_all_stations_is_as_usual_as_one_of_each(common: float, is_usual: bool) -> None:
+    values = {"w_x": common, "w_y": common, "w_z": 0.0, "w_x_A": -common, "w_y_A": -common, "w_z_A": 0.0}
+    scene = scene_of(turned(np.zeros(3), 2))  # B has what all have in common
+    assert find_effect("station_registration").is_usual(values, 0.0, scene) == is_usual
+
+
 def test_one_station_has_no_turn_beside_its_own() -> None:
     groups = {p.group for p in find_effect("station_registration").parameters(scene_of(turned(np.zeros(3))))}
     assert groups == {"station A"}
